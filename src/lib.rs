@@ -269,6 +269,7 @@ pub mod files {
     pub use crate::io::series::SeriesFrame;
     pub use crate::io::stamp::Stamp;
     pub use crate::io::stamp::is_same_file;
+    pub use crate::io::time_codes::{TimeFault, UnusedTimes};
     pub use crate::io::vdb::GridInfo;
     pub use crate::io::whole::Replace;
     pub use crate::io::{ParticleFile, UnreadPart, UpAxis};
@@ -393,7 +394,7 @@ pub use reconstruction::{
 pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Tank, Where};
 pub use simulation::{
     Event, Forecast, FrameCounts, FrameDone, FrameFailed, LargestFrame, LiveSimulation,
-    MissingFrames, OmittedCounts, SharedCalibration, Simulation, Summary, Trust,
+    MissingFrames, OmittedCounts, SharedCalibration, Simulation, Summary, Trust, UnreachedEnd,
 };
 pub use surface::level_set::Volume;
 pub use surface::simplify::TooSmall;

@@ -89,6 +89,9 @@ pub enum ReadFault {
         /// The other name of the file in the list.
         other: PathBuf,
     },
+    /// A frame of a simulation that lacks a file that other frames have. The text names the file.
+    #[error("{0}")]
+    Incomplete(String),
     /// A colour whose numbers have different scales in two joined files.
     #[error(
         "colour {attribute} is stored as {scale} in this file, but as {of_other} in {}; store it \

@@ -169,7 +169,9 @@ impl MeshFormat {
             Self::BgeoSc => houdini::attribute_names(attributes, has_normals),
             Self::Abc(_) => alembic::attribute_names(attributes, has_normals),
             Self::Vdb { .. } => vdb::attribute_names(attributes),
-            Self::Obj | Self::Stl | Self::Usdc(_) | Self::Glb(_) => return Vec::new(),
+            Self::Usdc(_) => return usd::renamed(has_normals, attributes),
+            Self::Glb(_) => return glb::renamed(attributes),
+            Self::Obj | Self::Stl => return Vec::new(),
         };
         let is_usual =
             |name: &str| matches!(self, Self::Vdb { .. }) && vdb::HOUDINI_NAMES.contains(&name);

@@ -24,7 +24,7 @@ use crate::particles::AttributeInfo;
 use crate::surface::mesh::source::Corners;
 
 use super::output::MeshFormat;
-use super::time_codes::{FrameTime, Timeline};
+use super::time_codes::{FrameTime, Timeline, UnusedTimes};
 use super::usd::stage::{Manifest, path_fault, stage};
 use super::vtp::escaped;
 use super::whole::replace_small;
@@ -200,6 +200,13 @@ impl Series {
     #[must_use]
     pub fn times(&self, frames: &[SeriesFrame]) -> Vec<f64> {
         Timeline::of(frames, self.fps).frames.into_iter().map(|frame| frame.seconds).collect()
+    }
+
+    /// The reason why the lists do not use the times of `frames`, which must be sorted by number.
+    /// `None` if they use them, or if there are none.
+    #[must_use]
+    pub fn unused_times(&self, frames: &[SeriesFrame]) -> Option<UnusedTimes> {
+        Timeline::unused_times(frames, self.fps)
     }
 
     fn text(

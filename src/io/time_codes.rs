@@ -5,6 +5,7 @@
 //! instead of 4, for example because its time was printed with six digits, programs show the mesh
 //! only at 5. So time codes that are close to a whole number are rounded.
 
+use std::fmt;
 use std::ops::RangeInclusive;
 
 use super::series::SeriesFrame;
@@ -52,6 +53,58 @@ pub(super) struct FrameTime {
     pub seconds: f64,
 }
 
+/// The reason why the lists and archives of a simulation do not use the times of its frames.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub struct UnusedTimes {
+    /// The number of the first frame whose time is missing or invalid.
+    pub frame: i64,
+    /// The fault of the frame's time.
+    pub fault: TimeFault,
+    /// The frame rate, in frames per second, if it is given.
+    pub fps: Option<f64>,
+}
+
+/// A fault of a frame's time.
+#[derive(Debug, Clone, PartialEq)]
+#[non_exhaustive]
+pub enum TimeFault {
+    /// The input has no time.
+    Missing,
+    /// The time is NaN or infinite.
+    NotFinite,
+    /// The time is not later than that of the frame before it.
+    NotLater {
+        /// The time in seconds.
+        time: f64,
+        /// The number and the time, in seconds, of the frame before it.
+        before: (i64, f64),
+    },
+}
+
+impl fmt::Display for UnusedTimes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { frame, fault, fps } = self;
+        match fault {
+            TimeFault::Missing => write!(f, "frame {frame} has no time"),
+            TimeFault::NotFinite => write!(f, "the time of frame {frame} is not a finite number"),
+            TimeFault::NotLater { time, before: (earlier, at) } => write!(
+                f,
+                "the time of frame {frame}, {time} s, is not later than that of frame {earlier}, \
+                 {at} s"
+            ),
+        }?;
+        f.write_str("; meniscus ignores the times of all frames, and uses ")?;
+        match fps {
+            Some(fps) => write!(f, "the frame numbers divided by {fps} frames per second"),
+            None => write!(
+                f,
+                "the frame numbers, at {FRAMES_A_SECOND} frames per second in stages and archives"
+            ),
+        }
+    }
+}
+
 /// The times of all frames of a simulation.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Timeline {
@@ -69,6 +122,32 @@ impl Timeline {
     /// numbers. Time codes are strictly increasing, too.
     pub fn of(frames: &[SeriesFrame], fps: Option<f64>) -> Self {
         Self::of_times(frames, fps).unwrap_or_else(|| Self::of_numbers(frames, fps))
+    }
+
+    /// The reason why the timeline of frames with times does not use these times. `None` if the
+    /// timeline uses them, or if the frames have fewer than two different times.
+    pub fn unused_times(frames: &[SeriesFrame], fps: Option<f64>) -> Option<UnusedTimes> {
+        let mut times =
+            frames.iter().filter_map(|frame| frame.time).filter(|time| time.is_finite());
+        let first = times.next()?;
+        if times.all(|time| time == first) || Self::of_times(frames, fps).is_some() {
+            return None;
+        }
+        let fault = |index: usize| {
+            let before = index.checked_sub(1).map(|before| &frames[before]);
+            let before = before.and_then(|before| Some((before.frame, before.time?)));
+            match (frames[index].time, before) {
+                (None, _) => Some(TimeFault::Missing),
+                (Some(time), _) if !time.is_finite() => Some(TimeFault::NotFinite),
+                (Some(time), Some(before)) if time <= before.1 => {
+                    Some(TimeFault::NotLater { time, before })
+                }
+                _ => None,
+            }
+        };
+        let found = |index: usize| Some((frames[index].frame, fault(index)?));
+        let (frame, fault) = (0..frames.len()).find_map(found)?;
+        Some(UnusedTimes { frame, fault, fps })
     }
 
     fn of_times(frames: &[SeriesFrame], fps: Option<f64>) -> Option<Self> {
@@ -290,11 +369,10 @@ mod tests {
         }
     }
 
-    #[test]
-    fn an_archive_has_exact_times_if_the_frame_rate_is_unknown() {
-        let frame = |(frame, time): (i64, f64)| SeriesFrame {
+    fn frame((frame, time): (i64, Option<f64>)) -> SeriesFrame {
+        SeriesFrame {
             frame,
-            time: Some(time),
+            time,
             file: String::new(),
             bytes: 0,
             particles: 0,
@@ -303,8 +381,34 @@ mod tests {
             bounds: None,
             normals: false,
             attributes: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn the_first_frame_without_a_later_time_is_named() {
+        let unused = |times: &[Option<f64>]| {
+            let frames: Vec<_> = (1..).zip(times.iter().copied()).map(frame).collect();
+            let of_timeline =
+                Timeline::of(&frames, Some(25.0)) == Timeline::of_numbers(&frames, Some(25.0));
+            let unused = Timeline::unused_times(&frames, Some(25.0));
+            assert!(unused.is_none() || of_timeline);
+            unused.map(|unused| (unused.frame, unused.fault))
         };
-        let frames: Vec<_> = (1..).zip([0.0, 0.04, 0.1]).map(frame).collect();
+        let (a, b, c) = (Some(0.0), Some(0.02), Some(0.04));
+        assert_eq!(unused(&[a, b, c]), None);
+        assert_eq!(unused(&[None, None, None]), None);
+        assert_eq!(unused(&[a, a, a]), None, "a format without times may store 0");
+        assert_eq!(unused(&[a, None, c]), Some((2, TimeFault::Missing)));
+        assert_eq!(unused(&[None, b, c]), Some((1, TimeFault::Missing)));
+        assert_eq!(unused(&[a, b, Some(f64::NAN)]), Some((3, TimeFault::NotFinite)));
+        let later = TimeFault::NotLater { time: 0.02, before: (2, 0.04) };
+        assert_eq!(unused(&[a, c, b]), Some((3, later)));
+    }
+
+    #[test]
+    fn an_archive_has_exact_times_if_the_frame_rate_is_unknown() {
+        let times = [0.0, 0.04, 0.1].map(Some);
+        let frames: Vec<_> = (1..).zip(times).map(frame).collect();
         let seconds = |fps: Option<f64>| -> Vec<f64> {
             Timeline::of(&frames, fps).frames.iter().map(|frame| frame.seconds).collect()
         };

@@ -79,6 +79,30 @@ pub enum KindFault {
         /// The value that is farthest outside the range.
         value: f32,
     },
+    /// A fraction in a sequence whose other frames have integers.
+    #[error(
+        "attribute {name:?} has the value {value}, but is an integer in other frames; store \
+         floating-point numbers in all frames, or do not transfer the attribute"
+    )]
+    Fraction {
+        /// The name of the attribute.
+        name: String,
+        /// The value.
+        value: f64,
+    },
+    /// An attribute whose type cannot be converted to the type that it has in other frames.
+    #[error(
+        "attribute {name:?} is {own} per particle, but {shared} in other frames; store the \
+         attribute in the same way in all frames, or do not transfer it"
+    )]
+    Type {
+        /// The name of the attribute.
+        name: String,
+        /// The type of the attribute in this frame, as text.
+        own: String,
+        /// The type of the attribute in other frames, as text.
+        shared: String,
+    },
 }
 
 /// The kind of an attribute in all frames, determined from the values of one frame.
@@ -90,6 +114,27 @@ pub struct SettledKind {
     pub kind: AttributeKind,
     /// Whether the values determine the kind.
     pub is_evident: bool,
+}
+
+impl SettledKind {
+    /// Whether the values of another frame, which have the kind `found`, determine the kind of this
+    /// attribute, although its own values do not.
+    fn is_determined_by(&self, found: &Self) -> bool {
+        let (own, other) = (&self.stored, &found.stored);
+        let is_float = own.kind.is_whole() && found.kind == AttributeKind::Number;
+        let is_same_size = (&own.name, own.components) == (&other.name, other.components);
+        !self.is_evident && found.is_evident && (own == other || is_float && is_same_size)
+    }
+}
+
+/// Replaces kinds that the values of one frame do not determine with kinds in `found`, from the
+/// values of another frame.
+pub fn determine(kinds: &mut [SettledKind], found: Vec<SettledKind>) {
+    for found in found {
+        if let Some(known) = kinds.iter_mut().find(|known| known.is_determined_by(&found)) {
+            *known = found;
+        }
+    }
 }
 
 /// If the greatest value of a floating-point colour exceeds this, the values are from 0 to 255.
@@ -191,6 +236,25 @@ impl AttributeKind {
         if self.is_whole() { self.whole(word) as f32 } else { word }
     }
 
+    /// Checks that a mesh can store the integers of attribute `name` between these extremes.
+    pub(super) fn check_whole(self, name: &str, [low, high]: [i64; 2]) -> Result<(), KindFault> {
+        let limits @ [least, greatest] = self.limits();
+        if least <= low && high <= greatest {
+            return Ok(());
+        }
+        let value = if low < least { low } else { high };
+        Err(KindFault::TooWide { name: name.to_owned(), value, limits })
+    }
+
+    /// The alpha of an opaque colour.
+    pub(super) fn opaque(self) -> f32 {
+        match self {
+            Self::ByteColour | Self::WholeColour => BYTE,
+            Self::ShortColour => SHORT,
+            _ => 1.0,
+        }
+    }
+
     /// The range of integers that a mesh can store.
     fn limits(self) -> [i64; 2] {
         match self {
@@ -271,8 +335,12 @@ pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<Sett
     let infos = carried_infos(particles.attributes(), carried).into_iter().zip(carried);
     let settled = infos.filter_map(|(stored, &index)| {
         let kind = of_values(particles, index, stored.clone(), &[]).ok()?.kind;
-        let is_open = stored.kind.has_open_scale();
-        let is_evident = !is_open || evident_scale(particles, index).is_some();
+        let is_evident = match stored.kind {
+            kind if kind.has_open_scale() => evident_scale(particles, index).is_some(),
+            // If all integers are equal, they may be numbers that happen to be whole so far.
+            kind if kind.is_whole() => !is_constant(particles, index),
+            _ => true,
+        };
         Some(SettledKind { stored, kind, is_evident })
     });
     settled.collect()
@@ -310,20 +378,13 @@ fn of_values(
     let known = known.iter().find(|known| known.stored == info).map(|known| known.kind);
     match info.kind {
         AttributeKind::Wide => {
-            let [low, high] = whole_extremes(particles, index);
-            let fits = |kind: &AttributeKind| {
-                let [least, greatest] = kind.limits();
-                least <= low && high <= greatest
+            let extremes = whole_extremes(particles, index);
+            let check = |kind: AttributeKind| kind.check_whole(&info.name, extremes).map(|()| kind);
+            info.kind = match known {
+                Some(known) => check(known)?,
+                None => check(AttributeKind::Signed)
+                    .or_else(|fault| check(AttributeKind::Unsigned).map_err(|_| fault))?,
             };
-            let kinds = match known {
-                Some(known) => vec![known],
-                None => vec![AttributeKind::Signed, AttributeKind::Unsigned],
-            };
-            info.kind = kinds.iter().copied().find(fits).ok_or_else(|| {
-                let limits = kinds[0].limits();
-                let value = if low < limits[0] { low } else { high };
-                KindFault::TooWide { name: info.name.clone(), value, limits }
-            })?;
         }
         stored if stored.has_open_scale() => {
             let [least, greatest] = extremes(particles, index);
@@ -374,6 +435,31 @@ pub fn evident_scale(particles: &dyn Particles, index: usize) -> Option<Attribut
     is_evident.then_some(kind)
 }
 
+/// The kind of the values of a colour; `None` if the attribute is not a colour.
+pub(super) fn colour_kind(particles: &dyn Particles, index: usize) -> Option<AttributeKind> {
+    let kind = match particles.attributes()[index].kind {
+        stored if stored.has_open_scale() => stored.of_extremes(extremes(particles, index)),
+        stored => stored,
+    };
+    kind.is_colour().then_some(kind)
+}
+
+/// Whether all integers of an attribute are equal.
+fn is_constant(particles: &dyn Particles, index: usize) -> bool {
+    if particles.is_empty() {
+        return true;
+    }
+    let components = particles.attributes()[index].components;
+    let mut first = vec![0_i64; components];
+    particles.integers(index, 0, &mut first);
+    let of_chunk = |range: Range<usize>| {
+        let mut values = vec![0_i64; range.len() * components];
+        particles.integers(index, range.start, &mut values);
+        values.iter().all(|value| *value == first[0])
+    };
+    chunks(particles, of_chunk).all(|is_constant| is_constant)
+}
+
 /// The minimum and maximum over 0 and all finite values of an attribute.
 fn extremes(particles: &dyn Particles, index: usize) -> [f32; 2] {
     let components = particles.attributes()[index].components;
@@ -387,7 +473,7 @@ fn extremes(particles: &dyn Particles, index: usize) -> [f32; 2] {
 }
 
 /// The minimum and maximum over 0 and all integers of an attribute.
-fn whole_extremes(particles: &dyn Particles, index: usize) -> [i64; 2] {
+pub(super) fn whole_extremes(particles: &dyn Particles, index: usize) -> [i64; 2] {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
         let mut values = vec![0_i64; range.len() * components];

@@ -1,6 +1,7 @@
 //! The interface through which the pipeline reads ranges of particles, repeatedly and from several
 //! threads.
 
+pub mod alike;
 mod cloud;
 pub mod condition;
 pub mod kind;
@@ -55,6 +56,20 @@ impl AttributeInfo {
         let name = name.into();
         let kind = AttributeKind::of_floats(&name, components);
         Self { name, components, kind }
+    }
+
+    /// The type of the attribute, as text for a message.
+    pub(crate) fn type_text(&self) -> String {
+        let &Self { components, kind, .. } = self;
+        match (kind, components) {
+            (AttributeKind::Colour | AttributeKind::ByteColour, _) => {
+                format!("a colour of {components} components")
+            }
+            (AttributeKind::Number, 1) => "a floating-point number".into(),
+            (AttributeKind::Number, _) => format!("{components} floating-point numbers"),
+            (_, 1) => "an integer".into(),
+            (_, _) => format!("{components} integers"),
+        }
     }
 
     /// Whether this is the velocity of a mesh's vertices, which is always called `velocity`.

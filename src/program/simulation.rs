@@ -16,7 +16,7 @@ use super::notes::{Verdict, print};
 use super::options::ReconstructOptions;
 use super::progress::{ProgressBars, ProgressMode};
 use super::report::{counted, report_census, report_device, too_small, warn_all};
-use super::stats::{of_failed, of_frame};
+use super::stats::{of_failed, of_frame, of_missing};
 
 /// Runs `meniscus reconstruct` for each simulation in the inputs.
 pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdict, Error> {
@@ -43,7 +43,7 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         options,
         notes,
         bars: None,
-        left_out: BTreeMap::new(),
+        repeated: BTreeMap::new(),
         broken: None,
         bad: false,
         cancel,
@@ -84,8 +84,8 @@ struct Listener<'a> {
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
     bars: Option<(ProgressBars, Notes)>,
-    /// Parts of files that were not read, each with the number of frames that have such a part.
-    left_out: BTreeMap<String, usize>,
+    /// Warnings that usually concern all frames, each with the number of frames that have it.
+    repeated: BTreeMap<String, usize>,
     /// The first error while writing the statistics.
     broken: Option<Error>,
     bad: bool,
@@ -110,6 +110,7 @@ impl Listener<'_> {
         match event {
             Event::SpacingWarning(warning) => self.notes().warn(&spacing_message(warning)),
             Event::Waiting { .. }
+            | Event::TimesInNames { .. }
             | Event::Restarted { .. }
             | Event::Resumed { .. }
             | Event::Measured { .. } => {
@@ -157,8 +158,9 @@ impl Listener<'_> {
 
     fn done(&mut self, done: &FrameDone) {
         for warning in &done.warnings {
-            if let Warning::LeftOut(part) = warning {
-                let frames = self.left_out.entry(part.to_string()).or_insert(0);
+            if let Warning::LeftOut(_) | Warning::Renamed { .. } | Warning::Coarse { .. } = warning
+            {
+                let frames = self.repeated.entry(warning.to_string()).or_insert(0);
                 *frames += 1;
                 if *frames > 1 {
                     continue;
@@ -187,15 +189,25 @@ impl Listener<'_> {
     }
 
     fn ended(&mut self, summary: &Summary) {
+        for (frame, input) in summary.missing.iter().flat_map(|missing| &missing.frames) {
+            self.append(|| of_missing(*frame, input));
+        }
         let notes = &self.notes;
-        for (part, frames) in std::mem::take(&mut self.left_out) {
+        for (warning, frames) in std::mem::take(&mut self.repeated) {
             if frames > 1 {
-                notes.warn(&format!("in {frames} frames, meniscus left out {part}"));
+                notes.warn(&format!("in {frames} frames, {warning}"));
             }
+        }
+        if let Some(unused) = &summary.unused_times {
+            let rate = if unused.fps.is_none() { " (--fps sets the frame rate)" } else { "" };
+            notes.warn(&format!("{}: {unused}{rate}", summary.inputs));
         }
         report_device(self.device.as_ref(), summary.made + summary.failed.len(), notes);
         if let Some(missing) = &summary.chosen {
             notes.say(format!("{}: no files for frames {missing}", summary.inputs));
+        }
+        for unreached in &summary.unreached {
+            notes.say(format!("{}: {unreached}", summary.inputs));
         }
         notes.say(summary.to_string());
         if summary.without_input > 0 {

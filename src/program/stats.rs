@@ -96,6 +96,12 @@ pub fn of_failed(failed: &FrameFailed) -> Value {
     json!({ "frame": failed.frame, "input": failed.input, "error": error_message(&failed.error) })
 }
 
+/// The record of a frame that is missing between existing frames, as one JSON object. `input` is
+/// the path that its file would have.
+pub fn of_missing(frame: i64, input: &Path) -> Value {
+    json!({ "frame": frame, "input": input, "error": format!("{}: missing", input.display()) })
+}
+
 /// The record of a mesh and its reconstruction, as one JSON object.
 pub fn record(options: &ReconstructOptions, report: &Report, made: &MeshStats<'_>) -> Value {
     let MeshStats { input, output, counts: [vertices, triangles, bytes], stages, lost } = made;

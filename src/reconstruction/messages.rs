@@ -237,6 +237,7 @@ fn files() -> String {
         Changed,
         Mesh { faces: 12 },
         Twice { other: path("a.bgeo") },
+        Incomplete("frame 2 has no piece 1, but other frames do; add the piece".into()),
         ColourScale {
             attribute: "Cd".into(),
             scale: ColourScale::Bytes,
@@ -363,6 +364,12 @@ fn frames() -> String {
         TooWide { name: "id".into(), value: 1 << 40, limits: [0, u32::MAX.into()] },
         Scale { name: "Cd".into(), greatest: 200.0 },
         NoByte { name: "Cd".into(), value: 300.0 },
+        Fraction { name: "temp".into(), value: 0.5 },
+        Type {
+            name: "stress".into(),
+            own: "3 floating-point numbers".into(),
+            shared: "a floating-point number".into(),
+        },
     );
     examples!(text, TooFine:
         Steps { cell_size: 0.01, plateau: 12.0, step_cells: 0.2, remedy: Remedy::Cells(0.1) },
@@ -396,6 +403,8 @@ fn warnings(all: &mut String) {
         MissingValues { attribute: heat(), without: 1000, of: 1000 },
         MissingAttribute { attribute: "velocity".into(), calibration_frame: Some(1) },
         MissingAttribute { attribute: heat(), calibration_frame: None },
+        Alpha { attribute: "Cd".into(), own: 4, shared: 3 },
+        Alpha { attribute: "Cd".into(), own: 3, shared: 4 },
         DeviceFallback(format!("{}; continuing on the CPU", VulkanError::Lost)),
         OnCorners { mean: 0.02, origin: [0.5; 3] },
         Bubbles { iso: 0.6, lowest: 0.55 },

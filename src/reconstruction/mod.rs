@@ -64,5 +64,5 @@ pub(crate) use surface::made_of;
 #[cfg(feature = "pictures")]
 pub(crate) use threads::Threads;
 pub use warning::{EmptyReason, Warning};
-pub(crate) use warning::{lost_warning, missing_attributes};
+pub(crate) use warning::{lost_warning, missing_attributes, of_alpha};
 pub use width::SinglePrecision;

@@ -139,12 +139,9 @@ impl Surface {
     /// [`Error::Write`] if the mesh is in a scratch file that cannot be read, and
     /// [`Error::Threads`] if threads cannot be started.
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
-        let coarse = self.extracted.precision == SinglePrecision::TooCoarse && !format.holds_f64();
-        let mut warnings: Vec<_> =
-            coarse.then_some(Warning::Coarse { format }).into_iter().collect();
         let threads = self.threads.started().map_err(Error::Threads)?;
-        warnings.extend(threads.install(|| made_of(self.mesh(), format, Path::new("")))?);
-        Ok(warnings)
+        let warnings = || made_of(self.mesh(), self.extracted.precision, format, Path::new(""));
+        Ok(threads.install(warnings)?)
     }
 
     /// Writes the mesh to a new file, completely or not at all, and returns the file's size in
@@ -208,16 +205,19 @@ impl fmt::Debug for Surface {
     }
 }
 
-/// Warnings about storing a mesh in `format`: attributes that are renamed or left out, and vertices
-/// that become equal.
+/// Warnings about storing a mesh in `format`: coordinates that become inaccurate, attributes that
+/// are renamed or left out, and vertices that become equal.
 pub(crate) fn made_of(
     mesh: &dyn MeshSource,
+    precision: SinglePrecision,
     format: MeshFormat,
     path: &Path,
 ) -> Result<Vec<Warning>, WriteError> {
+    let coarse = precision == SinglePrecision::TooCoarse && !format.holds_f64();
+    let coarse = coarse.then_some(Warning::Coarse { format });
     let renamed = format.renamed(&mesh.attributes(), mesh.has_normals()).into_iter();
     let renamed = renamed.map(|[attribute, name]| Warning::Renamed { attribute, name, format });
-    let mut warnings: Vec<_> = renamed.collect();
+    let mut warnings: Vec<_> = coarse.into_iter().chain(renamed).collect();
     warnings.extend(format.not_stored(&mesh.attributes()).into_iter().map(|info| {
         Warning::NotStored { attribute: info.name, components: info.components, format }
     }));

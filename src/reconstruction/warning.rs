@@ -12,6 +12,7 @@ use crate::grid::units::{FULL, Isovalue, shown, significant};
 use crate::io::UnreadPart;
 use crate::io::output::MeshFormat;
 use crate::particles::AttributeInfo;
+use crate::particles::alike::{AlikeParticles, AlphaChange};
 use crate::particles::kind::SettledKind;
 use crate::particles::selection::SelectionFault;
 use crate::surface::simplify::TooSmall;
@@ -70,6 +71,15 @@ pub enum Warning {
         attribute: String,
         /// The number of the calibration frame, if frames have numbers.
         calibration_frame: Option<i64>,
+    },
+    /// The colours of a frame have alpha, unlike those of other frames, or the reverse.
+    Alpha {
+        /// The colour.
+        attribute: String,
+        /// Number of components in this frame.
+        own: usize,
+        /// Number of components in the other frames, and on the meshes of all frames.
+        shared: usize,
     },
     /// The backend failed, and the CPU did its work.
     DeviceFallback(String),
@@ -263,6 +273,14 @@ impl fmt::Display for Warning {
                     f,
                     "the particles of this frame lack the attribute {attribute:?}, unlike those of \
                      {known}; the mesh of this frame lacks it, too{blur}"
+                )
+            }
+            Self::Alpha { attribute, own, shared } => {
+                let what = if own > shared { "leaves out its alpha" } else { "makes it opaque" };
+                write!(
+                    f,
+                    "the colour \"{attribute}\" has {own} components in this frame, but {shared} in \
+                     other frames; meniscus {what}"
                 )
             }
             Self::DeviceFallback(what) => f.write_str(what),
@@ -461,6 +479,15 @@ pub(crate) fn missing_attributes(
     let warning =
         |name: &String| Warning::MissingAttribute { attribute: name.clone(), calibration_frame };
     missing.map(warning).collect()
+}
+
+/// Warnings about colours whose alpha was changed.
+pub(crate) fn of_alpha(particles: &AlikeParticles<'_>) -> impl Iterator<Item = Warning> {
+    let warning = |change: &AlphaChange| {
+        let AlphaChange { attribute, own, shared } = change.clone();
+        Warning::Alpha { attribute, own, shared }
+    };
+    particles.changed_alpha().iter().map(warning)
 }
 
 /// A warning about a given isovalue, from measurements on the frame.

@@ -13,6 +13,7 @@ use crate::error::Error;
 use crate::field::calibration::{Calibration, Plateau};
 use crate::grid::units::{shown, significant};
 use crate::io::series::SeriesFrame;
+use crate::io::time_codes::UnusedTimes;
 use crate::reconstruction::{Report, SpacingWarning, Warning, lost_warning};
 use crate::system::cancel::Cancel;
 use crate::system::control::Progress;
@@ -31,6 +32,13 @@ pub enum Event {
         /// Number of frames so far on which the others cannot be calibrated, usually because
         /// their fluid is too shallow.
         unsuitable: usize,
+    },
+    /// The numbers in the names of the frames are decimals, which count as times.
+    TimesInNames {
+        /// The file of the first frame.
+        path: PathBuf,
+        /// The time of the first frame in seconds.
+        time: f64,
     },
     /// The spacing may be wrong.
     SpacingWarning(Box<SpacingWarning>),
@@ -193,6 +201,43 @@ pub struct MissingFrames {
     pub step: u64,
     /// The paths that the files of the first and last missing frame would have.
     pub paths: [PathBuf; 2],
+    /// The number of each missing frame, and the path that its file would have.
+    pub frames: Vec<(i64, PathBuf)>,
+}
+
+/// A requested first or last frame beyond which, among the requested frames, no files were found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum UnreachedEnd {
+    /// The first existing frame comes after the requested first frame.
+    First {
+        /// The number of the requested frame.
+        requested: i64,
+        /// The number of the existing frame.
+        existing: i64,
+    },
+    /// The last existing frame comes before the requested last frame.
+    Last {
+        /// The number of the requested frame.
+        requested: i64,
+        /// The number of the existing frame.
+        existing: i64,
+    },
+}
+
+impl fmt::Display for UnreachedEnd {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::First { requested, existing } => write!(
+                f,
+                "no files for frames before {existing}; the requested first frame is {requested}"
+            ),
+            Self::Last { requested, existing } => write!(
+                f,
+                "no files for frames after {existing}; the requested last frame is {requested}"
+            ),
+        }
+    }
 }
 
 impl fmt::Display for MissingFrames {
@@ -226,6 +271,10 @@ pub struct Summary {
     /// The missing frame numbers, if at least as many numbers are missing as exist. In that case,
     /// the existing files count as a selection of frames, and `missing` is empty.
     pub chosen: Option<Gaps>,
+    /// The requested first and last frame, if no files were found for them.
+    pub unreached: Vec<UnreachedEnd>,
+    /// The reason why the lists of frames do not use the times of the frames, if there are any.
+    pub unused_times: Option<UnusedTimes>,
     /// Number of existing meshes that stay in the lists although their frames are not among the
     /// inputs.
     pub without_input: usize,
@@ -276,6 +325,11 @@ impl fmt::Display for Event {
                 f,
                 "{inputs}: waiting for a frame with deeper fluid, to calibrate all frames on it; \
                  frames so far: {unsuitable}"
+            ),
+            Self::TimesInNames { path, time } => write!(
+                f,
+                "the numbers in the names of the frames are times in seconds: {} is at {time} s",
+                path.display()
             ),
             Self::SpacingWarning(warning) => write!(f, "warning: {warning}"),
             Self::Restarted { state, differing } => {

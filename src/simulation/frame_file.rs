@@ -7,7 +7,7 @@ use crate::io::frame_files::files_of;
 use crate::io::input::open_joined;
 use crate::io::stamp::Stamp;
 use crate::io::wanted::WantedParticles;
-use crate::io::{ParticleFile, ReadError};
+use crate::io::{ParticleFile, ReadError, ReadFault};
 
 /// A frame and its files.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,13 +24,17 @@ pub struct FrameFile {
     pub others: Vec<PathBuf>,
     /// The files of the solids of this frame.
     pub solids: Vec<PathBuf>,
+    /// A message that says what the frame lacks, if it has fewer files with particles than other
+    /// frames. Such a frame cannot be read.
+    pub lacking: Option<String>,
 }
 
 impl FrameFile {
     /// A frame in one file.
     #[must_use]
     pub fn new(number: i64, digits: String, path: PathBuf) -> Self {
-        Self { number, digits, time: None, path, others: Vec::new(), solids: Vec::new() }
+        let (others, solids) = (Vec::new(), Vec::new());
+        Self { number, digits, time: None, path, others, solids, lacking: None }
     }
 
     /// All files with particles of this frame.
@@ -56,6 +60,9 @@ impl FrameFile {
         wanted: WantedParticles,
         unpacking: Unpacking,
     ) -> Result<ParticleFile, ReadError> {
+        if let Some(lacking) = &self.lacking {
+            return Err(ReadError::new(&self.path, ReadFault::Incomplete(lacking.clone())));
+        }
         let file = open_joined(&self.paths().collect::<Vec<_>>(), wanted, unpacking)?;
         Ok(ParticleFile { time: file.time.or(self.time), ..file })
     }

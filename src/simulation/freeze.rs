@@ -12,7 +12,7 @@ use crate::io::ParticleFile;
 use crate::io::ReadError;
 use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
-use crate::particles::kind::{SettledKind, evident_scale, settled_for_all};
+use crate::particles::kind::{SettledKind, determine, settled_for_all};
 use crate::particles::{AttributeInfo, Particles};
 use crate::reconstruction::{self, FoundWalls, Slab, SpacingWarning, WallSearch};
 
@@ -45,7 +45,7 @@ impl Setup<'_> {
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
         let (mut shared, file) = self.freeze(frames, resources)?;
-        self.settle_colours(&mut shared, frames, resources)?;
+        self.settle_kinds(&mut shared, frames, resources)?;
         self.check_attributes(&shared, frames)?;
         let settings = self.kept_settings(store.stale().as_ref());
         let measured = State::new(settings, shared, self.sequence.place());
@@ -180,29 +180,36 @@ impl Setup<'_> {
         }
     }
 
-    /// Determines the scale of colours from other frames if the calibration frame does not reveal
-    /// it, for example because all its particles are black.
-    fn settle_colours(
+    /// Determines the kinds of attributes from other frames if the calibration frame does not reveal
+    /// them, for example because all its particles are black, or because a temperature is the
+    /// integer 0 at first.
+    fn settle_kinds(
         &self,
         shared: &mut SharedCalibration,
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(), Error> {
+        // A frame that lacks a requested attribute reveals no kinds.
+        let names = self.checked.settings.attribute_names();
+        let asks = names.is_some_and(|names| !names.is_empty());
+        let lacks_some = |shared: &SharedCalibration| asks && shared.kinds.is_empty();
         let last = frames.len().saturating_sub(1);
         for index in [last, last / 2, last / 4, last - last / 4] {
-            let is_open =
-                |known: &&mut SettledKind| known.stored.kind.has_open_scale() && !known.is_evident;
-            let mut open: Vec<_> = shared.kinds.iter_mut().filter(is_open).collect();
-            let Some(frame) = frames.get(index).filter(|_| !open.is_empty()) else { break };
+            let is_settled =
+                !lacks_some(shared) && shared.kinds.iter().all(|known| known.is_evident);
+            let Some(frame) = frames.get(index).filter(|_| !is_settled) else { break };
             self.go_on()?;
             // A frame that cannot be read fails when it is converted.
             let Ok(file) = self.open_particles(frame, resources) else { continue };
-            let infos = file.particles.attributes();
-            for known in &mut open {
-                let found = infos.iter().position(|info| *info == known.stored);
-                if let Some(kind) = found.and_then(|index| evident_scale(&file.particles, index)) {
-                    (known.kind, known.is_evident) = (kind, true);
-                }
+            if file.particles.is_empty() {
+                continue;
+            }
+            let carried = self.checked.settings.carried(&file.particles, self.format(frame).ok());
+            let found = settled_for_all(&file.particles, &carried.unwrap_or_default());
+            if lacks_some(shared) {
+                shared.kinds = found;
+            } else {
+                determine(&mut shared.kinds, found);
             }
         }
         Ok(())

@@ -375,7 +375,20 @@ impl Sequence {
         self.pattern.as_ref().is_some_and(|pattern| pattern.numbers == NumberKind::Whole)
     }
 
-    /// The existing frames, in order.
+    /// Whether the numbers in the names count as times although the request does not say so.
+    pub(super) fn infers_times(&self) -> bool {
+        let is_inferred = match &self.source {
+            Inputs::Together(members) => {
+                members.iter().any(|member| !matches!(member, Inputs::Pattern(_)))
+            }
+            source => !matches!(source, Inputs::Pattern(_)),
+        };
+        let pattern = self.pattern.as_ref().filter(|_| is_inferred);
+        pattern.is_some_and(|pattern| pattern.numbers == NumberKind::Times)
+    }
+
+    /// The existing frames, in order. A frame that lacks a file that other frames have is
+    /// [incomplete](FrameFile::lacking).
     ///
     /// # Errors
     /// [`SimulationError::Unreadable`] for a folder that cannot be read, [`SimulationError::Names`]

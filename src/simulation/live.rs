@@ -9,11 +9,12 @@ use crate::frame::{FrameError, Method, Sampling};
 use crate::grid::Grid;
 use crate::io::UpAxis;
 use crate::particles::Particles;
-use crate::particles::kind::{SettledKind, known_of, settled_for_all};
+use crate::particles::alike::AlikeParticles;
+use crate::particles::kind::{SettledKind, determine, known_of, settled_for_all};
 use crate::particles::sizes::Sizes;
 use crate::reconstruction::{
     self, ExtractedSurface, FoundWalls, Reconstruction, Report, SinglePrecision, Slab,
-    SpacingWarning, StartedRequest, Surface, Warning, missing_attributes,
+    SpacingWarning, StartedRequest, Surface, Warning, missing_attributes, of_alpha,
 };
 use crate::system::timings::Timings;
 
@@ -145,6 +146,12 @@ impl LiveSimulation {
             *known = Some(found);
             timings.done("measure");
         }
+        let is_open =
+            |known: &&mut KnownCalibration| known.kinds.iter().any(|kind| !kind.is_evident);
+        if let Some(known) = known.as_mut().filter(is_open).filter(|_| !particles.is_empty()) {
+            let carried = checked.settings.carried(particles, None)?;
+            determine(&mut known.kinds, settled_for_all(particles, &carried));
+        }
         let Some(&KnownCalibration {
             grid,
             method,
@@ -161,8 +168,11 @@ impl LiveSimulation {
             return Err(Error::NoSpacing { path: None, particles, why, suggested: None });
         };
         let carried = checked.settings.carried(particles, None)?;
+        let particles =
+            &AlikeParticles::of(particles, &carried, kinds).map_err(FrameError::from)?;
         let infos = known_of(particles, &carried, kinds);
         let missing = missing_attributes(&infos, kinds, None);
+        let alpha = of_alpha(particles);
         let resources = checked.resources.clone();
         let request = &checked.sampling;
         if !is_measured {
@@ -182,6 +192,7 @@ impl LiveSimulation {
         extracted.report.timings = timings;
         let past = past.into_iter().map(Warning::BeyondWall);
         let first = spacing_warnings.into_iter().map(Warning::Spacing).chain(past).chain(missing);
+        let first = first.chain(alpha);
         extracted.report.warnings.splice(0..0, first);
         Ok(extracted)
     }
@@ -211,7 +222,8 @@ impl LiveSimulation {
         let checked = &self.ready.checked;
         let carried = checked.settings.carried(particles, None)?;
         let kinds = self.known.as_ref().map_or(&[][..], |known| &known.kinds);
-        let infos = known_of(particles, &carried, kinds);
+        let particles = AlikeParticles::of(particles, &carried, kinds).map_err(FrameError::from)?;
+        let infos = known_of(&particles, &carried, kinds);
         let mesh = checked.empty_mesh(infos, facts.grid);
         let report =
             Report::of_facts(facts, None, &checked.surfacing, checked.resources.backend.name());

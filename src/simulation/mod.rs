@@ -43,7 +43,7 @@ use std::sync;
 
 pub use builder::Simulation;
 pub use event::{
-    Event, FrameCounts, FrameDone, FrameFailed, MissingFrames, OmittedCounts, Summary,
+    Event, FrameCounts, FrameDone, FrameFailed, MissingFrames, OmittedCounts, Summary, UnreachedEnd,
 };
 pub use forecast::{Forecast, LargestFrame};
 pub use frame_file::FrameFile;

@@ -47,16 +47,13 @@ pub(super) fn whole(
     let all: BTreeSet<u64> = frames.values().flat_map(|pieces| pieces.keys().copied()).collect();
     let mut joined = Vec::new();
     for (number, pieces) in frames {
-        if let Some(lacking) = all.iter().find(|piece| !pieces.contains_key(piece)) {
-            return Err(SimulationError::Names(format!(
-                "{pattern}: frame {number} has no piece {lacking}, but other frames do; add the \
-                 piece, or leave that frame out"
-            )));
-        }
+        let lacking = all.iter().find(|piece| !pieces.contains_key(piece)).map(|piece| {
+            format!("frame {number} has no piece {piece}, but other frames do; add the piece")
+        });
         let mut pieces = pieces.into_values();
         if let Some((digits, path)) = pieces.next() {
             let others = pieces.map(|(_, path)| path).collect();
-            joined.push(FrameFile { others, ..FrameFile::new(number, digits, path) });
+            joined.push(FrameFile { others, lacking, ..FrameFile::new(number, digits, path) });
         }
     }
     Ok(joined)
@@ -78,38 +75,59 @@ pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     (0..).zip(files).map(frame).collect()
 }
 
-/// Joins the frames with the same number from several simulations.
+/// Joins the frames with the same number from several simulations. A frame that one of them lacks is
+/// incomplete.
+///
+/// # Errors
+/// [`SimulationError::Names`] if two simulations have no frame number in common, or different times.
 pub(super) fn joined(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,
 ) -> Result<Vec<FrameFile>, SimulationError> {
     let mut lists = lists.into_iter().zip(sequences);
-    let Some((mut frames, first)) = lists.next() else { return Ok(Vec::new()) };
+    let Some((frames, first)) = lists.next() else { return Ok(Vec::new()) };
+    let by_number = |frames: Vec<FrameFile>| {
+        frames.into_iter().map(|frame| (frame.number, frame)).collect::<BTreeMap<_, _>>()
+    };
+    let lacking = |number: i64, sequence: &Sequence| {
+        format!(
+            "the other inputs have frame {number}, but {} does not; add its file",
+            sequence.source().describe()
+        )
+    };
+    let mut frames = by_number(frames);
     for (list, sequence) in lists {
-        let numbers =
-            |frames: &[FrameFile]| frames.iter().map(|f| f.number).collect::<BTreeSet<_>>();
-        let [own, other] = [numbers(&frames), numbers(&list)];
-        if let Some(number) = own.symmetric_difference(&other).next() {
-            let (has, lacks) =
-                if own.contains(number) { (first, sequence) } else { (sequence, first) };
+        let list = by_number(list);
+        let is_empty = frames.is_empty() && list.is_empty();
+        if !is_empty && !list.keys().any(|number| frames.contains_key(number)) {
             return Err(SimulationError::Names(format!(
-                "{} has frame {number}, but {} does not; joined inputs need the same frame numbers",
-                has.source().describe(),
-                lacks.source().describe()
+                "{} and {} have no frame number in common; joined inputs need the same frame \
+                 numbers",
+                first.source().describe(),
+                sequence.source().describe()
             )));
         }
-        let times = |(a, b): (&FrameFile, &FrameFile)| a.time != b.time;
-        if let Some((one, other)) = frames.iter().zip(&list).find(|(a, b)| times((a, b))) {
-            return Err(SimulationError::Names(format!(
-                "{} and {} have different times; the frames of joined inputs need the same times",
-                one.path.display(),
-                other.path.display()
-            )));
+        for frame in frames.values_mut().filter(|frame| !list.contains_key(&frame.number)) {
+            frame.lacking.get_or_insert_with(|| lacking(frame.number, sequence));
         }
-        for (frame, other) in frames.iter_mut().zip(list) {
+        for (number, other) in list {
+            let Some(frame) = frames.get_mut(&number) else {
+                let lacking = Some(lacking(number, first));
+                frames.insert(number, FrameFile { lacking, ..other });
+                continue;
+            };
+            if frame.time != other.time {
+                return Err(SimulationError::Names(format!(
+                    "{} and {} have different times; the frames of joined inputs need the same \
+                     times",
+                    frame.path.display(),
+                    other.path.display()
+                )));
+            }
             frame.others.push(other.path);
             frame.others.extend(other.others);
+            frame.lacking = frame.lacking.take().or(other.lacking);
         }
     }
-    Ok(frames)
+    Ok(frames.into_values().collect())
 }

@@ -23,11 +23,12 @@ use crate::io::time_codes::FRAMES_A_SECOND;
 use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::AttributeInfo;
+use crate::particles::alike::AlikeParticles;
 use crate::particles::kind::known_of;
 use crate::reconstruction::{
     CheckedRequest, ExtractedSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
     SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, missing_attributes,
-    refuse_same_file,
+    of_alpha, refuse_same_file,
 };
 use crate::surface::mesh::source::BoundedMesh;
 use crate::system::control::Stage;
@@ -180,7 +181,7 @@ impl Conversion<'_> {
         checked.settings.check_attributes(&target, self.format, || Ok(mesh.attributes()))?;
         let width = coordinate_width(precision, self.format, &target)?;
         warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
-        warnings.extend(made_of(mesh, self.format, &target)?);
+        warnings.extend(made_of(mesh, precision, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = BoundedMesh::new(&turned);
         let number = frame.number as f64;
@@ -298,15 +299,16 @@ impl Conversion<'_> {
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
         let carried = settings.carried(&file.particles, Some(self.format));
         let carried = carried.map_err(|error| error.of_file(path))?;
-        let infos = known_of(&file.particles, &carried, &shared.kinds);
+        let alike = AlikeParticles::of(&file.particles, &carried, &shared.kinds);
+        let particles = alike.map_err(|fault| in_file(fault.into()))?;
+        let infos = known_of(&particles, &carried, &shared.kinds);
         let missing = missing_attributes(&infos, &shared.kinds, Some(shared.frame));
-        let (mut sampling, past) =
-            self.setup.sampling(shared, &file.particles, carried, opening)?;
+        let alpha = of_alpha(&particles);
+        let (mut sampling, past) = self.setup.sampling(shared, &particles, carried, opening)?;
         // Particles of several sizes have no single spacing to check.
         let known = shared.spacing.filter(|_| shared.sizes.is_none());
         if let Some(spacing) = known.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
-            let warnings =
-                SpacingWarning::of_known(spacing, &SpacingSource::State, &file.particles);
+            let warnings = SpacingWarning::of_known(spacing, &SpacingSource::State, &particles);
             warnings.iter().for_each(|warning| {
                 self.setup.send(Event::SpacingWarning(Box::new(warning.clone())))
             });
@@ -316,11 +318,11 @@ impl Conversion<'_> {
         let of_sizes = if frame.number == shared.frame {
             None
         } else {
-            let of_sizes = checked.sampling.warning_of_sizes((spacing, sizes), &file.particles);
+            let of_sizes = checked.sampling.warning_of_sizes((spacing, sizes), &particles);
             of_sizes.map_err(|error| error.of_file(path))?
         };
         control.begin(Stage::Counting);
-        let mut counted = CountedFrame::for_surface(&file.particles, &sampling, surfacing, None);
+        let mut counted = CountedFrame::for_surface(&particles, &sampling, surfacing, None);
         timings.done("count");
         let fits = match &counted {
             Ok(counted) => counted.estimate().in_core() <= share.0,
@@ -335,7 +337,7 @@ impl Conversion<'_> {
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
             sampling.resources.budget = budget;
-            counted = CountedFrame::for_surface(&file.particles, &sampling, surfacing, None);
+            counted = CountedFrame::for_surface(&particles, &sampling, surfacing, None);
         }
         let (frame, census) = match counted {
             Err(FrameError::NoParticles(census)) => (None, census),
@@ -350,7 +352,7 @@ impl Conversion<'_> {
         let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
         let none_selected = file.none_selected.clone().map(Warning::NoneSelected);
         let of_sizes = of_sizes.map(Warning::Spacing);
-        let of_input = none_selected.into_iter().chain(parts).chain(missing);
+        let of_input = none_selected.into_iter().chain(parts).chain(missing).chain(alpha);
         let warnings = past.into_iter().chain(of_sizes).chain(of_input).collect();
         Ok(MeshableFrame { frame, left_out, warnings, infos, time: file.time, permit })
     }

@@ -265,6 +265,10 @@ impl Simulation {
                 let (outputs, archive) = (naming.outputs(sequence), naming.archive());
                 let checked = &ready.checked;
                 let setup = Setup { simulation: self, sequence, outputs, archive, checked, events };
+                let timed = frames.first().filter(|_| sequence.infers_times());
+                if let Some((frame, time)) = timed.and_then(|frame| Some((frame, frame.time?))) {
+                    setup.send(Event::TimesInNames { path: frame.path.clone(), time });
+                }
                 let result = match self.begin(&setup, frames).and_then(act) {
                     // An error in the files of one simulation, or a selection that contains none of
                     // its frames, does not stop the others.

@@ -15,9 +15,10 @@ use crate::io::series::{Series, SeriesFrame};
 use crate::io::{WriteError, WriteFault};
 use rayon::prelude::*;
 
+use super::builder::Simulation;
 use super::conversion::Conversion;
 use super::event::{
-    Event, FrameCounts, FrameDone, FrameFailed, MissingFrames, OmittedCounts, Summary,
+    Event, FrameCounts, FrameDone, FrameFailed, MissingFrames, OmittedCounts, Summary, UnreachedEnd,
 };
 use super::one_frame::ConvertedFrame;
 use super::setup::{ExistingMeshes, Setup};
@@ -219,6 +220,24 @@ impl<'a> Tally<'a> {
         })
     }
 
+    /// The requested first and last frame, if they are at least a step before or after the existing
+    /// `frames`.
+    fn unreached(&self, frames: &[FrameFile]) -> Vec<UnreachedEnd> {
+        let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return Vec::new() };
+        let Simulation { selection, frames: range, .. } = self.conversion.setup.simulation;
+        let [start, end] = [selection.start.max(range.0), selection.end.min(range.1)];
+        let step = gaps(frames).step.max(1);
+        let is_far = |low: i64, high: i64| low < high && high.abs_diff(low) >= step;
+        let mut unreached = Vec::new();
+        if start > i64::MIN && is_far(start, first.number) {
+            unreached.push(UnreachedEnd::First { requested: start, existing: first.number });
+        }
+        if end < i64::MAX && is_far(last.number, end) {
+            unreached.push(UnreachedEnd::Last { requested: end, existing: last.number });
+        }
+        unreached
+    }
+
     /// Lists all frames that have a finished mesh, merges the records of ended jobs, and makes the
     /// summary.
     pub(super) fn finish(mut self, frames: &[FrameFile]) -> Result<Summary, Error> {
@@ -239,10 +258,11 @@ impl<'a> Tally<'a> {
         if self.done < self.total {
             stale.clear();
         }
+        let listed: Vec<SeriesFrame> = self.listed.values().cloned().collect();
         let (log, cancel) = (&self.conversion.store.log, self.conversion.cancel());
-        let (listed, merged) =
+        let (written, merged) =
             rayon::join(|| self.write_series(), || cancel.undisturbed(|| log.merge()));
-        listed?;
+        written?;
         merged?;
         drop(alone);
         if cancel.is_cancelled() && self.done < self.total {
@@ -253,10 +273,14 @@ impl<'a> Tally<'a> {
         let chosen =
             Some(&missing).filter(|missing| missing.sparse && missing.count() > 0).cloned();
         let each = |&(first, last): &(i64, i64)| {
-            let paths =
-                [first, last].map(|number| missing_path(frames, sequence.pattern(), number));
-            MissingFrames { first, last, step: missing.step, paths }
+            let path = |number| missing_path(frames, sequence.pattern(), number);
+            let each = (first..=last).step_by(missing.step.max(1) as usize);
+            let each = each.map(|number| (number, path(number)));
+            let (paths, step) = ([first, last].map(path), missing.step);
+            MissingFrames { first, last, step, paths, frames: each.collect() }
         };
+        let (unreached, unused_times) =
+            (self.unreached(frames), self.series().unused_times(&listed));
         let indicator = checked.sampling.method.indicator();
         let summary = Summary {
             inputs: sequence.describe(),
@@ -270,6 +294,8 @@ impl<'a> Tally<'a> {
                 missing.ranges.iter().map(each).collect()
             },
             chosen,
+            unreached,
+            unused_times,
             without_input,
             stale,
             left_out: self.left_out,

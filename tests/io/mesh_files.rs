@@ -6,10 +6,11 @@ use std::io::{self, Read};
 use std::path::Path;
 use std::process::Command;
 
+use meniscus::internals::io::glb::GlbLayout;
 use meniscus::internals::io::output::{MeshFormat, MeshOutput, read_mesh};
 use meniscus::internals::io::whole::Replace;
 use meniscus::internals::io::{CoordinateWidth, ReadFault, UpAxis, WriteFault};
-use meniscus::internals::particles::AttributeKind;
+use meniscus::internals::particles::{AttributeInfo, AttributeKind};
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 use crate::build::gzip;
@@ -243,6 +244,23 @@ fn colliding_attribute_names_are_renamed_uniquely_and_reported() {
         distinct.dedup();
         assert_eq!(distinct.len(), names.len(), "{format:?}: {distinct:?}");
     }
+}
+
+#[test]
+fn stages_and_glb_files_report_renamed_attributes_but_not_conventional_names() {
+    let info = |(name, components): (&str, usize)| AttributeInfo::new(name, components);
+    let usual = [("velocity", 3), ("Cd", 4), ("stress", 6), ("density", 1)].map(info);
+    let odd = [("a b", 1), ("a_b", 1), ("one two", 2), ("é", 1)].map(info);
+    let formats = [MeshFormat::Usdc(UpAxis::Y), MeshFormat::Glb(GlbLayout::PLAIN)];
+    for (format, expected) in formats.into_iter().zip([
+        [["a b", "a_b"], ["a_b", "a_b_"], ["one two", "one_two"], ["é", "_"]],
+        [["a b", "_A_B"], ["a_b", "_A_B_"], ["one two", "_ONE_TWO"], ["é", "__"]],
+    ]) {
+        assert!(format.renamed(&usual, true).is_empty(), "{format}");
+        assert_eq!(format.renamed(&odd, true), expected, "{format}");
+    }
+    let upper = [("Temp", 1), ("temp", 1)].map(info);
+    assert_eq!(formats[1].renamed(&upper, false), [["temp", "_TEMP_"]]);
 }
 
 #[test]

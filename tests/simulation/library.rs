@@ -535,6 +535,22 @@ fn a_live_frame_that_lacks_the_velocity_of_the_first_causes_a_warning() {
 }
 
 #[test]
+fn a_live_frame_has_the_attribute_types_of_the_first() {
+    let request = Reconstruction::new().spacing(0.5).attributes(["Cd", "heat"]);
+    let mut live = LiveSimulation::new(&request).unwrap();
+    let water = falling(1);
+    let heat = vec![293.0_f32; water.len()];
+    let (rgb, rgba) = (vec![[0.5_f32; 3]; water.len()], vec![[0.5_f32; 4]; water.len()]);
+    live.frame(&Cloud::new(&water).with("Cd", &rgb).with("heat", &heat)).unwrap();
+    let second = live.frame(&Cloud::new(&water).with("Cd", &rgba).with("heat", &heat)).unwrap();
+    let alpha = Warning::Alpha { attribute: "Cd".into(), own: 4, shared: 3 };
+    assert!(second.report().warnings.contains(&alpha));
+    assert_eq!(second.mesh().attributes()[0].components, 3);
+    let other = Cloud::new(&water).with("Cd", &rgb).with("heat", &rgb);
+    assert_eq!(live.frame(&other).unwrap_err().cause(), Cause::Input);
+}
+
+#[test]
 fn a_live_simulation_keeps_its_first_measurements_for_later_frames() {
     // A thin sheet has no interior, so it does not settle the calibration.
     let sheet: Vec<[f64; 3]> = fill(20.0, 2.0, 0.1, 7, |p| (0.0..0.5).contains(&p.y));

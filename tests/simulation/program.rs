@@ -10,6 +10,7 @@ use std::time::Duration;
 use glam::{DQuat, DVec3, EulerRot};
 use meniscus::files::{Info, info};
 use meniscus::internals::io::output::read_mesh;
+use meniscus::internals::particles::AttributeKind;
 use meniscus::internals::surface::mesh::Mesh;
 use meniscus::internals::surface::mesh::check::check;
 use meniscus::internals::surface::mesh::measure::measure;
@@ -152,8 +153,13 @@ fn bad_frames_are_reported_with_causes_and_all_others_are_converted() {
     assert!(meshes(&out).iter().all(|name| out[name] == whole[name]));
     let stats = fs::read_to_string(folder.path().join("stats.jsonl")).unwrap();
     let lines: Vec<Value> = stats.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    assert_eq!(lines.len(), 19);
-    assert_eq!(lines.iter().filter(|line| line["error"].is_string()).count(), 2);
+    assert_eq!(lines.len(), 20);
+    let failed = lines.iter().filter(|line| line["error"].is_string());
+    let mut failed: Vec<_> = failed.map(|line| line["frame"].as_i64().unwrap()).collect();
+    failed.sort_unstable();
+    assert_eq!(failed, [5, 11, 17]);
+    let missing = lines.iter().find(|line| line["frame"] == 11).unwrap();
+    assert_eq!(missing["input"], "in/f_11.xyz");
     assert!(lines.iter().all(|line| line["frame"].is_u64()));
 
     // If the first frame is bad, the calibration is measured on the other frames.
@@ -1584,13 +1590,31 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
         ["one.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(one == alone);
 
-    // If a piece or a frame is missing, no frame is converted.
+    // A frame without all its files fails alone, and does not matter if it is not selected.
     fs::remove_file(folder.path().join("ranks/f_2_rank1.xyz")).unwrap();
     fs::remove_file(folder.path().join("fluids/oil_2.xyz")).unwrap();
-    for inputs in [&["ranks"][..], &["ranks/f_{}_rank{piece}.xyz"], &["fluids", "--together"]] {
-        run(folder.path(), &[inputs, &["-o", "none/"]].concat(), 2);
-        assert!(!folder.path().join("none").exists());
+    for (n, (inputs, lacking)) in [
+        (&["ranks/f_{}_rank{piece}.xyz"][..], "ranks/f_2_rank0.xyz: frame 2 has no piece 1"),
+        (&["fluids", "--together"], "fluids/air_2.xyz: "),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let out = format!("some{n}/");
+        let errors = run(folder.path(), &[inputs, &["-o", &out]].concat(), 1);
+        assert!(errors.contains(&format!("frame 2: {lacking}")), "{errors}");
+        assert!(meshes_in(&folder.path().join(out)) == whole[..1], "{inputs:?}");
+        let first = format!("first{n}/");
+        run(folder.path(), &[inputs, &["-o", &first, "--end", "1"]].concat(), 0);
+        assert!(meshes_in(&folder.path().join(first)) == whole[..1], "{inputs:?}");
     }
+    // In a folder, most frames must be complete.
+    run(folder.path(), &["ranks", "-o", "none/"], 2);
+    // Inputs without a common frame number are no joined simulation.
+    fs::rename(folder.path().join("fluids/oil_1.xyz"), folder.path().join("fluids/oil_7.xyz"))
+        .unwrap();
+    run(folder.path(), &["fluids", "--together", "-o", "none/"], 2);
+    assert!(!folder.path().join("none").exists());
     run(folder.path(), &["ranks/f_{}_rank0.xyz", "-o", "rank0/", "--watch=1"], 0);
     run(folder.path(), &["fluids", "--together", "-o", "none/", "--watch=1"], 2);
 }
@@ -1649,11 +1673,85 @@ fn negative_frame_numbers_are_accepted_and_times_are_sorted_by_value() {
     let frames: Vec<_> = listed("pre.ply.json").into_iter().map(|(n, _, file)| (n, file)).collect();
     let expected = [(-10, "-010"), (-9, "-009"), (0, "0000"), (1, "0001")];
     assert!(frames.iter().cloned().eq(expected.map(|(n, text)| (n, format!("pre_{text}.ply")))));
-    run(folder.path(), &["times", "-o", "meshes/"], 0);
+    let messages = run(folder.path(), &["times", "-o", "meshes/"], 0);
+    assert_eq!(messages.matches("times in seconds").count(), 1, "{messages}");
+    let named = ["times/f_{time}.xyz", "-o", "named_{:02}.ply", "--dry-run"];
+    let messages = run(folder.path(), &named, 0);
+    assert!(!messages.contains("times in seconds"), "{messages}");
     let expected = [(0, 0.95), (1, 1.0), (2, 1.05), (3, 11.0)];
     let times: Vec<_> = listed("meshes/f.ply.json").into_iter().map(|(n, t, _)| (n, t)).collect();
     assert_eq!(times, expected);
     assert!(folder.path().join("meshes/f_1.1e1.ply").exists());
+}
+
+#[test]
+fn times_that_cannot_be_used_are_reported_once() {
+    let folder = TempDir::new().unwrap();
+    let write = |frame: u64, comment: &str| {
+        let ball = ball(frame);
+        let rows: String = ball.iter().map(|[x, y, z]| format!("{x} {y} {z}\n")).collect();
+        let text = format!("{}\n{comment}\n{rows}", ball.len());
+        fs::write(folder.path().join(format!("f_{frame}.xyz")), text).unwrap();
+    };
+    let all = ["f_{}.xyz", "-o", "m_{}.ply", "--overwrite", "--spacing", "0.5", "--cell", "1"];
+    let listed = || {
+        let json: Value =
+            serde_json::from_slice(&fs::read(folder.path().join("m.ply.json")).unwrap()).unwrap();
+        json["frames"][2]["time"].as_f64().unwrap()
+    };
+    (1..=3).for_each(|frame| write(frame, &format!("Time=0.{frame}")));
+    let messages = run(folder.path(), &[&all[..], &["--fps", "25"]].concat(), 0);
+    assert!(!messages.contains("the times") && listed() == 0.3, "{messages}");
+    write(2, "no time");
+    let messages = run(folder.path(), &[&all[..], &["--fps", "25"]].concat(), 0);
+    assert_eq!(messages.matches("frame 2 has no time").count(), 1, "{messages}");
+    assert!(messages.contains("25 frames per second") && listed() == 3.0 / 25.0, "{messages}");
+    write(2, "Time=0.1");
+    let messages = run(folder.path(), &all, 0);
+    assert!(messages.contains("the time of frame 2") && listed() == 3.0, "{messages}");
+}
+
+#[test]
+fn a_requested_frame_beyond_the_existing_ones_is_reported() {
+    let folder = falling(3..=5);
+    for (range, messages) in [
+        (["--start", "0"], &["before 3"][..]),
+        (["--end", "9"], &["after 5"]),
+        (["--frames", "1..8"], &["before 3", "after 5"]),
+        (["--end", "5"], &[]),
+    ] {
+        let found = run(folder.path(), &with(&[&range[..], &["--overwrite"]].concat()), 0);
+        let expected = messages.len();
+        assert_eq!(found.matches("no files for frames").count(), expected, "{range:?}: {found}");
+        assert!(messages.iter().all(|message| found.contains(message)), "{range:?}: {found}");
+    }
+    // The existing frames are 3 and 5, and the next would be 7.
+    let step = ["--step", "2", "--end", "6", "--overwrite"];
+    let messages = run(folder.path(), &with(&step), 0);
+    assert!(!messages.contains("no files for frames"), "{messages}");
+}
+
+#[test]
+fn frames_that_a_format_cannot_store_exactly_are_reported_once() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=2 {
+        let row = |[x, y, z]: &[f64; 3]| format!("{},{y},{z},1,2\n", x + 1e6);
+        let rows: String = ball(frame).iter().map(row).collect();
+        fs::write(folder.path().join(format!("f_{frame}.csv")), format!("x,y,z,a b,a_b\n{rows}"))
+            .unwrap();
+    }
+    let all = |input, output| {
+        let all = [input, "-o", output, "--attributes", "a b,a_b", "--spacing", "0.5"];
+        run(folder.path(), &all, 0)
+    };
+    for [output, single] in [["m_{}.usdc", "m.usdc"], ["w.abc", "w_1.abc"], ["m_{}.glb", "m.glb"]] {
+        for messages in [all("f_{}.csv", output), all("f_1.csv", single)] {
+            let is_coarse = messages.contains("too coarse");
+            assert_eq!(is_coarse, !output.ends_with(".glb"), "{output}: {messages}");
+            let renamed = messages.matches("\"a b\" is stored as").count();
+            assert!((1..=2).contains(&renamed), "{output}: {messages}");
+        }
+    }
 }
 
 /// The properties of a colour that is called `Cd`, in any number type.
@@ -1752,6 +1850,69 @@ fn an_integer_colour_keeps_the_scale_of_the_calibration_frame() {
     }
 }
 
+/// Writes a ball whose particles have the attribute `temp`, in properties of the number type
+/// `scalar`. A `#` in `temp` stands for the index of the particle.
+fn heated(path: &Path, frame: u64, scalar: &str, temp: &str) {
+    let components = temp.split(' ').count();
+    let name = |i: usize| if components == 1 { "temp".into() } else { format!("temp_{i}") };
+    let temps: String =
+        (0..components).map(|i| format!("property {scalar} {}\n", name(i))).collect();
+    let position: String = ["x", "y", "z"].map(|axis| format!("property float {axis}\n")).concat();
+    let ball = ball(frame);
+    let row = |(i, [x, y, z]): (usize, &[f64; 3])| {
+        format!("{x} {y} {z} {}\n", temp.replace('#', &i.to_string()))
+    };
+    let rows: String = ball.iter().enumerate().map(row).collect();
+    let count = ball.len();
+    let text = format!(
+        "ply\nformat ascii 1.0\nelement vertex {count}\n{position}{temps}end_header\n{rows}"
+    );
+    fs::write(path, text).unwrap();
+}
+
+#[test]
+fn an_attribute_has_the_same_type_in_all_frames() {
+    let folder = TempDir::new().unwrap();
+    let write = |frame: u64, scalar: &str, temp: &str| {
+        heated(&folder.path().join(format!("f_{frame}.ply")), frame, scalar, temp);
+    };
+    let all = |output: &'static str| {
+        ["f_{}.ply", "-o", output, "--attributes", "temp", "--spacing", "0.5", "--cell", "1"]
+    };
+    let made = |frame: u64| {
+        let mesh = read_mesh(&folder.path().join(format!("m_{frame}.ply"))).unwrap();
+        let temp = &mesh.attributes[0];
+        (temp.kind, temp.kind.number(temp.values[0]))
+    };
+    // Zeros are integers in one frame, the first or another.
+    for odd in [1, 2] {
+        for frame in 1..=3 {
+            write(frame, "double", "0.5");
+        }
+        write(odd, "int", "0");
+        let anew = ["--overwrite"];
+        run(folder.path(), &[&all("m_{}.ply")[..], &anew].concat(), 0);
+        assert_eq!(made(odd), (AttributeKind::Number, 0.0));
+        assert_eq!(made(3), (AttributeKind::Number, 0.5));
+        run(folder.path(), &[&all("u_{}.usdc")[..], &anew].concat(), 0);
+        let stage = fs::read_to_string(folder.path().join("u.usda")).unwrap();
+        assert!(stage.contains("float[] primvars:temp") && !stage.contains("int[] primvars:temp"));
+    }
+    // Integers that one frame stores as floating-point numbers.
+    (1..=3).for_each(|frame| write(frame, "int", "#"));
+    write(2, "float", "#");
+    run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 0);
+    assert_eq!(made(2).0, AttributeKind::Signed);
+    // Values and types that cannot be converted.
+    write(2, "float", "#.5");
+    let errors = run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 1);
+    assert!(errors.contains("f_2.ply") && errors.contains("value 0.5"), "{errors}");
+    (1..=3).for_each(|frame| write(frame, "float", "7"));
+    write(2, "float", "1 2 3");
+    let errors = run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 1);
+    assert!(errors.contains("f_2.ply") && errors.contains("3 floating-point numbers"), "{errors}");
+}
+
 #[test]
 fn frames_with_attributes_that_an_obj_cannot_store_fail() {
     let folder = TempDir::new().unwrap();
@@ -1768,7 +1929,7 @@ fn frames_with_attributes_that_an_obj_cannot_store_fail() {
     write(2, "float", 0.25);
     write(3, "int", 300.0);
     let errors = convert("a_{}.obj", 1);
-    assert!(errors.contains(&format!("frame 3: a_3.obj: {refused}")), "{errors}");
+    assert!(errors.contains("frame 3: f_3.ply: attribute \"Cd\" is 3 integers"), "{errors}");
     assert!(errors.contains("1 frame failed"), "{errors}");
     assert!(!folder.path().join("a_3.obj").exists());
     let text = fs::read_to_string(folder.path().join("a_2.obj")).unwrap();

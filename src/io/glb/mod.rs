@@ -20,7 +20,7 @@ mod document;
 mod view;
 mod write;
 
-pub use view::can_store;
+pub use view::{can_store, renamed};
 pub use write::write_mesh;
 
 use super::UpAxis;

@@ -135,6 +135,18 @@ fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     attributes.iter().map(name).collect()
 }
 
+/// For each attribute whose name in the file differs from its name in capitals after an underscore,
+/// its name and the name in the file. Colours have the names of glTF.
+pub fn renamed(attributes: &[AttributeInfo]) -> Vec<[String; 2]> {
+    let attributes = attributes.iter().zip(names(attributes));
+    let plain = attributes.filter(|(info, _)| !info.kind.is_colour());
+    let differs = |(info, name): (&AttributeInfo, Option<String>)| {
+        let name = name.filter(|name| *name != format!("_{}", info.name.to_ascii_uppercase()))?;
+        Some([info.name.clone(), name])
+    };
+    plain.filter_map(differs).collect()
+}
+
 impl GlbView {
     pub fn is_indices(&self) -> bool {
         matches!(self.what, ViewContent::Indices)

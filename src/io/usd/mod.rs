@@ -18,6 +18,9 @@ use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 /// Name of the mesh's prim.
 const PRIM: &str = "fluid";
 
+/// Namespace of the properties that store attributes.
+const PRIMVARS: &str = "primvars:";
+
 /// A property of the mesh with values for every frame.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct UsdProperty {
@@ -82,7 +85,7 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
             continue;
         }
         let mut add = |name: &str, kind, values| {
-            let mut name = format!("primvars:{}", identifier(name));
+            let mut name = format!("{PRIMVARS}{}", identifier(name));
             while all.iter().any(|other| other.name == name) {
                 name.push('_');
             }
@@ -106,6 +109,25 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
         }
     }
     all
+}
+
+/// For each property whose name differs from the name of its attribute, the name without the
+/// difference and the name in the file. The velocity and the first colour have the names of USD.
+pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 2]> {
+    let colour = colour_attribute(attributes);
+    let differs = |UsdProperty { name, values, .. }: UsdProperty| {
+        let (UsdValues::Attribute(index, range) | UsdValues::Shares(index, range)) = values else {
+            return None;
+        };
+        let stored = name.strip_prefix(PRIMVARS).filter(|_| colour != Some(index))?;
+        let AttributeInfo { name, components, .. } = &attributes[index];
+        let expected = match range.len() == *components {
+            true => name.clone(),
+            false => format!("{name}_{}", range.start),
+        };
+        (stored != expected).then(|| [expected, stored.to_owned()])
+    };
+    properties(has_normals, attributes).into_iter().filter_map(differs).collect()
 }
 
 /// Number of passes that the writer makes over the vertices of a mesh, plus one over its triangles.

@@ -165,7 +165,10 @@ fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
             MeniscusEventKind::Failed
         }
         Event::SimulationFailed(_) => MeniscusEventKind::SimulationFailed,
-        Event::Ended(_) => MeniscusEventKind::Ended,
+        Event::Ended(summary) => {
+            warnings = summary.unused_times.iter().map(ToString::to_string).collect();
+            MeniscusEventKind::Ended
+        }
         _ => MeniscusEventKind::Other,
     };
     converted.kind = kind as i32;

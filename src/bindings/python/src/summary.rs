@@ -11,7 +11,7 @@ use pyo3::prelude::*;
 /// Attributes
 /// ----------
 /// kind : str
-///     "waiting", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
+///     "waiting", "times_in_names", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
 ///     "stage", "done", "failed", "simulation_failed" or "ended".
 /// message : str
 ///     A description of the event, as a line of text.
@@ -53,6 +53,9 @@ impl Event {
         let mut warnings = Vec::new();
         let converted = match event {
             ConversionEvent::Waiting { .. } => Self { kind: "waiting", ..Self::default() },
+            ConversionEvent::TimesInNames { .. } => {
+                Self { kind: "times_in_names", ..Self::default() }
+            }
             ConversionEvent::SpacingWarning(warning) => {
                 warnings.push(warning.to_string());
                 Self { kind: "spacing_warning", ..Self::default() }
@@ -88,7 +91,10 @@ impl Event {
             ConversionEvent::SimulationFailed(_) => {
                 Self { kind: "simulation_failed", ..Self::default() }
             }
-            ConversionEvent::Ended(_) => Self { kind: "ended", ..Self::default() },
+            ConversionEvent::Ended(summary) => {
+                warnings.extend(summary.unused_times.iter().map(ToString::to_string));
+                Self { kind: "ended", ..Self::default() }
+            }
             _ => Self { kind: "other", ..Self::default() },
         };
         (Self { message: event.to_string(), ..converted }, warnings)
