@@ -11,7 +11,7 @@ use meniscus::internals::brick::{
     BinPlan, Block, BrickSide, CountingRoom, DifField, InvalidParticles,
 };
 use meniscus::internals::field::blur::{self, Weights};
-use meniscus::internals::field::indicator::{IndicatorKind, PageRule};
+use meniscus::internals::field::indicator::{CloudWalls, IndicatorKind, PageRule};
 use meniscus::internals::field::recipe::{PaperFilters, Recipe};
 use meniscus::internals::frame::{Detail, Engine, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
@@ -180,7 +180,10 @@ fn compare_pages_on(device: &Backend, budget: MemoryBudget) -> (Vec<Work>, Work)
                 indicator,
                 spacing_cells: mean.cbrt().recip(),
                 side,
-                walls: Some(CellBox::cube(IVec3::ZERO, 9)),
+                walls: Some(CloudWalls {
+                    cells: CellBox::cube(IVec3::ZERO, 9),
+                    gains: [[7000, 4096, 3000], [4096, 2800, 8192]],
+                }),
             };
             let (control, parts) = (Control::default(), all.len());
             let meter = control.meter(Stage::Sampling, parts);
