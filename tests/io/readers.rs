@@ -558,7 +558,7 @@ fn velocities_have_names_like_those_of_positions() {
         ("p_pos", "p_vel"),
         ("pos", "vels"),
     ] {
-        let arrays = [(position, vectors()), ("a_other", vectors()), (velocity, vectors())];
+        let arrays = [(position, vectors()), (velocity, vectors())];
         let file = read(NPZ, &build::npz(&arrays, CompressionMethod::Stored)).unwrap();
         let infos = file.particles.attributes();
         let found = velocity_attribute(infos).map(|index| &*infos[index].name);
