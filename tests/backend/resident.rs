@@ -351,7 +351,7 @@ fn invalid_resident_frames_fail_with_a_reason_and_free_their_memory() {
     assert!(matches!(surface(&[[0.0; 3]], &above), FrameError::NoSurface { .. }));
     // A drop that is far smaller than a cell lies between the cell centres, so it has no surface.
     let dust = DeviceRequest { indicator: IndicatorKind::Cloud, spacing: Some(0.05), ..scene };
-    assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface));
+    assert!(matches!(surface(&[[0.0; 3]], &dust), FrameError::NoDistanceSurface { .. }));
     let fine = DeviceRequest { spacing: Some(11.0), ..dust };
     assert!(matches!(surface(&[[0.0; 3]], &fine), FrameError::TooFine(_)));
     pipeline.release();
