@@ -11,7 +11,7 @@ use meniscus::internals::brick::{
     BinPlan, BrickSide, CountingRoom, DifField, FrameFacts, InvalidParticles,
 };
 use meniscus::internals::field::indicator::{
-    Indicator, IndicatorKind, PageRule, SampledDif, indicate,
+    CloudWalls, Indicator, IndicatorKind, PageRule, SampledDif, indicate,
 };
 use meniscus::internals::grid::units::MeanCount;
 use meniscus::internals::grid::{CellBox, Domain, Grid, MortonKey, Periodic};
@@ -50,7 +50,7 @@ fn sample(
     let bins = plan.fill(&particles, &[]).unwrap();
     let facts = FrameFacts { grid, domain, periodic: None, census, spacing: Some(0.5) };
     let spacing_cells = facts.spacing_cells_or_one();
-    let rule = PageRule { indicator, spacing_cells, side, walls: facts.walls() };
+    let rule = PageRule { indicator, spacing_cells, side, walls: CloudWalls::of(&facts) };
     let pages = indicate(&bins, 0..bins.keys().len(), &rule).unwrap();
     let mean = census.binned as f64 / full_cells(&bins) as f64;
     let indicator = indicator.with_mean(|| MeanCount::new(mean)).unwrap();
