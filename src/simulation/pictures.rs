@@ -645,7 +645,7 @@ impl Sheet {
                     _ => stem(&file),
                 };
                 let label = label.to_owned();
-                meshes.push(FrameFile::new(number, label, outputs.folder().join(file)));
+                meshes.push(FrameFile::new(number, label, outputs.folder.join(file)));
             }
         }
         Ok(meshes)
