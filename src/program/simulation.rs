@@ -216,8 +216,8 @@ impl Listener<'_> {
                 _ => ("meshes", "stay"),
             };
             notes.say(format!(
-                "{} existing {meshes} without an input {stay} in the list of frames; use --overwrite \
-                 to list only frames with an input",
+                "{} existing {meshes} without an input {stay} in the list of frames; use \
+                 --overwrite to list only frames with an input",
                 summary.without_input
             ));
         }
@@ -246,8 +246,8 @@ fn stale(meshes: &[PathBuf]) -> Option<String> {
     Some(match meshes.len() {
         1 => format!("{first}: this mesh is from an earlier run; delete it if you do not need it"),
         count => format!(
-            "{first} to {last}: {count} of these meshes are from an earlier run; delete them if you \
-             do not need them"
+            "{first} to {last}: {count} of these meshes are from an earlier run; delete them if \
+             you do not need them"
         ),
     })
 }

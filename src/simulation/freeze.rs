@@ -180,7 +180,7 @@ impl Setup<'_> {
         }
     }
 
-    /// Determines the kinds of attributes from other frames if the calibration frame does not reveal
+    /// Determines kinds of attributes from other frames if the calibration frame does not reveal
     /// them, for example because all its particles are black, or because a temperature is the
     /// integer 0 at first.
     fn settle_kinds(

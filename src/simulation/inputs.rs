@@ -359,7 +359,7 @@ impl Sequence {
         self.pattern.as_ref()
     }
 
-    /// The path, without links, of the folder or the file that contains the frames; `None` for files
+    /// The path, without links, of the folder or file that contains the frames; `None` for files
     /// without numbers, which can be in several folders.
     pub fn place(&self) -> Option<String> {
         let place = match (&self.source, &self.pattern) {
@@ -369,8 +369,8 @@ impl Sequence {
         Some(place.canonicalize().ok()?.to_string_lossy().into_owned())
     }
 
-    /// Whether each frame has the number in the name of its file, so that the number does not depend
-    /// on other files.
+    /// Whether each frame's number is in the name of its file, so that it does not depend on other
+    /// files.
     pub fn has_own_numbers(&self) -> bool {
         self.pattern.as_ref().is_some_and(|pattern| pattern.numbers == NumberKind::Whole)
     }

@@ -75,11 +75,11 @@ pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     (0..).zip(files).map(frame).collect()
 }
 
-/// Joins the frames with the same number from several simulations. A frame that one of them lacks is
-/// incomplete.
+/// Joins the frames with the same number from several simulations. A frame that one of them lacks
+/// is incomplete.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if two simulations have no frame number in common, or different times.
+/// [`SimulationError::Names`] if two simulations have no frame number in common, or other times.
 pub(super) fn joined(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,

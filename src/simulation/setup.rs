@@ -55,8 +55,8 @@ pub(super) struct ExistingMeshes {
 }
 
 impl ExistingMeshes {
-    /// The existing meshes in `folder` of frames whose numbers are not in `known`, if they were made
-    /// with the state of this fingerprint.
+    /// The existing meshes in `folder` of frames whose numbers are not in `known`, if they were
+    /// made with the state of this fingerprint.
     pub(super) fn of_other_frames(
         &self,
         known: &BTreeSet<i64>,

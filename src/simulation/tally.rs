@@ -87,8 +87,8 @@ impl<'a> Tally<'a> {
         listed.extend(done);
     }
 
-    /// Adds finished meshes of frames that are not among the existing `frames`, because their inputs
-    /// were removed, or are left out of this request. Returns their number.
+    /// Adds finished meshes of frames that are not among the existing `frames`: their inputs were
+    /// removed, or are left out of this request. Returns their number.
     ///
     /// A request that overwrites meshes, and frames without numbers of their own, list only what
     /// exists: a mesh may belong to an earlier simulation, or to another number by now.

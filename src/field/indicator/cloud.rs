@@ -224,7 +224,8 @@ impl Clouds {
         let (side, edge) = (self.shape.side.cells(), self.shape.edge());
         let lowest = bin * BIN - GHOST_LAYER;
         let inner = walls.cells.grown(-1, -1);
-        if inner.covers(&CellBox { lo: lowest, hi: lowest + BIN + 2 * GHOST_LAYER }) {
+        let is_even = walls.gains == [[NO_GAIN; 3]; 2];
+        if is_even || inner.covers(&CellBox { lo: lowest, hi: lowest + BIN + 2 * GHOST_LAYER }) {
             return;
         }
         let bricks = samples.chunks_exact_mut(self.shape.brick_samples());
