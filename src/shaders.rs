@@ -9,7 +9,7 @@ use bytemuck::{Pod, Zeroable};
 use crate::vulkan::Shader;
 
 /// Every shader, by name.
-pub const SHADERS: [&Shader; 30] = [
+pub const SHADERS: [&Shader; 31] = [
     &BASES,
     &BLEND,
     &BLUR,
@@ -24,6 +24,7 @@ pub const SHADERS: [&Shader; 30] = [
     &HALVE,
     &INDICATE,
     &JOIN,
+    &LOOSE,
     &LOST,
     &MIX_BOTH,
     &OUTLYING,
@@ -151,6 +152,14 @@ pub const JOIN: Shader = Shader {
     code: include_bytes!("../spirv/join.spv"),
     buffers: &["parts", "blocks", "homes", "near", "shares", "away", "certainty", "field"],
     push_bytes: size_of::<JoinPush>() as u32,
+    group: 256,
+};
+
+pub const LOOSE: Shader = Shader {
+    name: "loose",
+    code: include_bytes!("../spirv/loose.spv"),
+    buffers: &["clouds", "smooth_clouds"],
+    push_bytes: size_of::<LoosePush>() as u32,
     group: 256,
 };
 
@@ -405,6 +414,13 @@ pub struct JoinPush {
     pub radius: i32,
     pub width: i32,
     pub earlier: u32,
+}
+
+#[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
+#[repr(C)]
+pub struct LoosePush {
+    pub words: u32,
+    pub scale: u32,
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]

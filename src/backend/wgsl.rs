@@ -9,8 +9,8 @@ use crate::field::indicator::{
     DISTANCE_SCALE, GAIN_BITS, GHOST_LAYER, SHARE_BITS, SQUARE_BITS, THETA_PER_DISTANCE,
 };
 use crate::field::sheets::{
-    BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, EXP2, FLAT, IMPURE, IMPURE_IF_FLAT, LOG2, LOG2_OF_E,
-    ROUND, THICK, THIN,
+    BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, EXP2, FLAT, IMPURE, IMPURE_IF_FLAT, IN_BULK,
+    LEAST_WEIGHT, LOG2, LOG2_OF_E, ROUND, THICK, THIN,
 };
 use crate::grid::units::FULL;
 use crate::grid::{BIN, BLOCK, BLOCK_TILES, CELL_LIMIT, FRACTION_BITS, TILE};
@@ -31,6 +31,9 @@ pub fn wgsl_constants() -> Vec<(&'static str, &'static str, i64)> {
         ("DISTANCE_ZERO", "i32", ZERO.into()),
         ("MOST_APART", "i32", MOST_APART.into()),
         ("SHEET_BITS", "u32", BITS.into()),
+        ("IN_BULK_BEGIN", "u32", IN_BULK.begin.into()),
+        ("IN_BULK_RANGE", "u32", IN_BULK.range.into()),
+        ("LEAST_WEIGHT", "u32", LEAST_WEIGHT.into()),
         ("IMPURE_BEGIN", "u32", IMPURE.begin.into()),
         ("IMPURE_RANGE", "u32", IMPURE.range.into()),
         ("FLAT_BEGIN", "u32", FLAT.begin.into()),

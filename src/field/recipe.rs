@@ -8,7 +8,7 @@ use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
 use crate::field::distance::{Bulk, Depths, DistanceFilters, Drops, InsideBricks, StandsOut};
 use crate::field::indicator::IndicatorKind;
-use crate::field::sheets::{SheetFields, Sheets};
+use crate::field::sheets::{Loose, SheetFields, Sheets};
 use crate::grid::units::{Isovalue, Sigma};
 use crate::grid::{BLOCK, CellBox};
 
@@ -288,7 +288,7 @@ pub fn sheets<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
 ) -> Result<Option<SheetFields<F::Field>>, F::Error> {
-    let DistanceFilters { level, drops_level, sheets, .. } = distances;
+    let DistanceFilters { level, bulk, drops_level, sheets, .. } = distances;
     let Some(by) = sheets else { return Ok(None) };
     let clouds = fields.samples(*level, distances.sheets_halo())?;
     if !fields.may_hold(by, &clouds) {
@@ -297,7 +297,13 @@ pub fn sheets<F: Fields>(
     // A thin layer of fluid on a solid is not a sheet, so clouds are continued into solids.
     let filled = fields.filled(&clouds)?;
     drop(clouds);
-    let density = fields.blur(filled, &by.around)?;
+    let smooth = fields.blur(filled.clone(), &bulk.widths[2].weights)?;
+    let Loose { clouds, weights } = fields.loose(filled, smooth, bulk.scale)?;
+    let mut density = fields.blur(clouds, &by.around)?;
+    if let Some(weights) = weights {
+        let weights = fields.blur(weights, &by.around_weights)?;
+        density = fields.divided(density, weights)?;
+    }
     let Some(SheetFields { shares, certainty }) = fields.sheets(by, density, *drops_level)? else {
         return Ok(None);
     };
@@ -400,6 +406,23 @@ pub trait Fields {
 
     /// Whether clouds can contain a sheet, checked before they are smoothed.
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
+
+    /// Clouds, reduced in the bulk, as in step 1 of [`sheets`](crate::field::sheets). `smooth` are
+    /// the clouds, smoothed with the widest width, which `scale` converts to fractions of the
+    /// plateau.
+    fn loose(
+        &mut self,
+        clouds: Self::Field,
+        smooth: Self::Field,
+        scale: u32,
+    ) -> Result<Loose<Self::Field>, Self::Error>;
+
+    /// A density, divided by weights in 32768ths.
+    fn divided(
+        &mut self,
+        density: Self::Field,
+        weights: Self::Field,
+    ) -> Result<Self::Field, Self::Error>;
 
     /// Sheets in cells 2^`level` times as wide around the requested cells, from the smoothed
     /// density in wider cells; `None` if there are certainly none.

@@ -87,10 +87,7 @@ fn resident_frames_match_the_cpu_for_all_indicators_filters_and_walls() {
             {
                 let mut sampling =
                     Sampling { method: indicator.into(), spacing: Some(spacing), ..sampling() };
-                // Known difference: in cells wider than the spacing, samples beside walls between
-                // the faces of cells can differ from those of the CPU.
-                let tank = if spacing < 1.0 { tank } else { uneven_tank };
-                sampling.domain = walls.then(|| tank(&sampling.grid));
+                sampling.domain = walls.then(|| uneven_tank(&sampling.grid));
                 let (sigma, smooth) = (Sigma::new(sigma).ok(), Smooth::new(smooth).unwrap());
                 let surfacing = Surfacing { smooth, detail, sigma, ..surfacing() };
                 let (frame, expected) = reconstruct(&particles[..], &sampling, &surfacing);

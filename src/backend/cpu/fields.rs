@@ -15,7 +15,7 @@ use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
     Fields, Filters, Recipe, ThinShares, WideFields, bulk, joined as joined_fields, walls_at,
 };
-use crate::field::sheets::{SheetFields, Sheets, blend, holds_any, sheets};
+use crate::field::sheets::{Loose, SheetFields, Sheets, blend, holds_any, loose, sheets};
 use crate::field::solid::{FARTHEST, STEPS, SolidFill, WHOLE, cut, outside};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
@@ -494,6 +494,35 @@ impl Fields for Blocks<'_> {
 
     fn may_hold(&mut self, sheets: &Sheets, clouds: &BlockField) -> bool {
         holds_any(sheets, &clouds.block)
+    }
+
+    fn loose(
+        &mut self,
+        clouds: BlockField,
+        smooth: BlockField,
+        scale: u32,
+    ) -> Result<Loose<BlockField>, StopSignal> {
+        let level = clouds.level;
+        let Loose { clouds: block, weights } =
+            loose(&clouds.block, Rc::unwrap_or_clone(smooth.block), scale);
+        let cells = block.cells();
+        let inner = |full: Rc<[IVec3]>| -> Rc<[_]> {
+            full.iter().copied().filter(|&cell| cells.contains(cell)).collect()
+        };
+        let full = clouds.full.map(inner);
+        Ok(Loose {
+            clouds: BlockField { full, ..BlockField::new(block, level) },
+            weights: weights.map(|weights| BlockField::new(weights, level)),
+        })
+    }
+
+    fn divided(
+        &mut self,
+        density: BlockField,
+        weights: BlockField,
+    ) -> Result<BlockField, StopSignal> {
+        let block = quotient(&density.block, &weights.block, 15);
+        Ok(BlockField::new(block, density.level))
     }
 
     fn sheets(

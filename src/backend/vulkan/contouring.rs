@@ -35,8 +35,9 @@ const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 /// Number of fields in wide cells that exist at once: clouds, two surfaces and their difference,
 /// another field, and its temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
-/// Number of fields in wide cells that sheets need: the clouds, and their smoothed density.
-pub(super) const SHEETS_FIELDS: usize = 2;
+/// Number of fields in wide cells that sheets need: the clouds, their smoothed density, and a
+/// temporary.
+pub(super) const SHEETS_FIELDS: usize = 3;
 /// Number of fields for drops: the shares of sheets and their certainty, clouds, the clouds around
 /// them, and a temporary.
 pub(super) const DROPS_FIELDS: usize = 5;

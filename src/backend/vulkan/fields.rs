@@ -10,8 +10,8 @@ use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
 use crate::field::distance::{Bulk, Depths, Drops, InsideBricks, StandsOut, Width};
 use crate::field::recipe::{Fields, ThinShares, WideFields, walls_at};
-use crate::field::sheets::vulkan::{blend, sheets as make_sheets};
-use crate::field::sheets::{SheetFields, Sheets};
+use crate::field::sheets::vulkan::{blend, loose, sheets as make_sheets};
+use crate::field::sheets::{Loose, SheetFields, Sheets};
 use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
@@ -304,6 +304,33 @@ impl Fields for PaddedFields<'_> {
 
     fn may_hold(&mut self, _: &Sheets, _: &Rc<PaddedSamples>) -> bool {
         true
+    }
+
+    fn loose(
+        &mut self,
+        clouds: Rc<PaddedSamples>,
+        smooth: Rc<PaddedSamples>,
+        scale: u32,
+    ) -> Result<Loose<Rc<PaddedSamples>>, VulkanError> {
+        let of = clouds.of;
+        self.stage("sheets", 4, of);
+        let views = [&clouds.samples, &smooth.samples];
+        loose(self.commands, &self.pipelines.loose, &self.grids[of].blocks, scale, views)?;
+        let clouds = PaddedSamples { samples: clouds.samples.clone(), margin: smooth.margin, of };
+        Ok(Loose { clouds: Rc::new(clouds), weights: Some(smooth) })
+    }
+
+    fn divided(
+        &mut self,
+        density: Rc<PaddedSamples>,
+        weights: Rc<PaddedSamples>,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
+        let of = density.of;
+        self.stage("sheets", 3, of);
+        let views = [&density.samples, &weights.samples];
+        quotient(self.commands, &self.pipelines.distance, &self.grids[of].blocks, 15, views)?;
+        self.give(weights);
+        Ok(density)
     }
 
     fn sheets(

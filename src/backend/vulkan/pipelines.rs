@@ -8,8 +8,8 @@ use crate::field::distance::vulkan::DistancePipelines;
 use crate::field::indicator::vulkan::IndicatorPipelines;
 use crate::shaders::{
     BASES, BLEND, BLUR, CLOUDS, DEPTHS_OF, EMIT, FULL_BRICKS, FULL_CELLS, GATHER, GREATER, HALVE,
-    INDICATE, JOIN, LOST, MIX_BOTH, OUTLYING, PROBE, QUOTIENT, REFINE, SHEETS, SIGNS, SPREAD,
-    TILES,
+    INDICATE, JOIN, LOOSE, LOST, MIX_BOTH, OUTLYING, PROBE, QUOTIENT, REFINE, SHEETS, SIGNS,
+    SPREAD, TILES,
 };
 use crate::surface::dual_mc::vulkan::DualMcPipelines;
 use crate::vulkan::{ComputePipeline, Device, VulkanError};
@@ -25,6 +25,7 @@ pub(super) struct Pipelines {
     pub(super) lost: Arc<ComputePipeline>,
     pub(super) greater: Arc<ComputePipeline>,
     pub(super) distance: DistancePipelines,
+    pub(super) loose: Arc<ComputePipeline>,
     pub(super) sheets: Arc<ComputePipeline>,
     pub(super) blend: Arc<ComputePipeline>,
     pub(super) dual_mc: DualMcPipelines,
@@ -36,12 +37,12 @@ impl Pipelines {
         #[rustfmt::skip]
         let [
             indicate, clouds, full_cells, halve, full_bricks, gather, blur, lost, greater,
-            depths, mix, outlying, spread, probe, refine, quotient, sheets, blend, join,
+            depths, mix, outlying, spread, probe, refine, quotient, loose, sheets, blend, join,
             signs, tiles, bases, emit,
         ] = device.pipelines([
             &INDICATE, &CLOUDS, &FULL_CELLS, &HALVE, &FULL_BRICKS, &GATHER, &BLUR, &LOST, &GREATER,
-            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &PROBE, &REFINE, &QUOTIENT, &SHEETS, &BLEND,
-            &JOIN,
+            &DEPTHS_OF, &MIX_BOTH, &OUTLYING, &SPREAD, &PROBE, &REFINE, &QUOTIENT, &LOOSE, &SHEETS,
+            &BLEND, &JOIN,
             &SIGNS, &TILES, &BASES, &EMIT,
         ])?;
         Ok(Self {
@@ -63,6 +64,7 @@ impl Pipelines {
                 join,
                 full_bricks,
             },
+            loose,
             sheets,
             blend,
             dual_mc: DualMcPipelines { signs, tiles, bases, emit },

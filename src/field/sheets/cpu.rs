@@ -9,8 +9,8 @@ use crate::grid::CellBox;
 
 use super::logarithm::{exp2, log2};
 use super::{
-    BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, FLAT, IMPURE, IMPURE_IF_FLAT, LOG2_OF_E, ONE, ROUND,
-    SheetConstants, SheetFields, Sheets, THICK, THIN,
+    BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, FLAT, IMPURE, IMPURE_IF_FLAT, IN_BULK, LEAST_WEIGHT,
+    LOG2_OF_E, Loose, ONE, ROUND, SheetConstants, SheetFields, Sheets, THICK, THIN,
 };
 
 /// Number of cells that are processed at a time.
@@ -31,6 +31,31 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
         }
     }
     false
+}
+
+/// Reduces clouds in the bulk, on the cells of `smooth`: the clouds, smoothed with the widest width,
+/// which `scale` converts to fractions of the plateau.
+///
+/// # Panics
+/// If `clouds` does not cover `smooth`.
+pub fn loose(clouds: &Block, mut smooth: Block, scale: u32) -> Loose<Block> {
+    let mut clouds = clouds.part(smooth.cells());
+    if (u32::from(greatest_of(smooth.samples())) * scale) >> 14 <= IN_BULK.begin.into() {
+        return Loose { clouds, weights: None };
+    }
+    weigh(clouds.samples_mut(), smooth.samples_mut(), scale);
+    Loose { clouds, weights: Some(smooth) }
+}
+
+/// Replaces the smoothed clouds with weights, by which the clouds are multiplied.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn weigh(clouds: &mut [u16], smooth: &mut [u16], scale: u32) {
+    for (cloud, smooth) in clouds.iter_mut().zip(smooth) {
+        let density = ((u32::from(*smooth) * scale) >> 14).min(u16::MAX.into()) as u16;
+        let weight = 4096 - IN_BULK.of(density);
+        *cloud = ((u32::from(*cloud) * weight) >> 12) as u16;
+        *smooth = (weight.max(LEAST_WEIGHT) << 3) as u16;
+    }
 }
 
 /// Finds the sheets of the smoothed density on `cells`; returns `None` if there are none. Beyond

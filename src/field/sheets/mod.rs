@@ -4,16 +4,21 @@
 //! single particles no longer touch. The density alone shows whether there is such a sheet, where
 //! it lies, and how thick it is.
 //!
-//! 1. Shape. Let rho be the density, smoothed by a Gaussian of width s in wide cells and
+//! 1. Loose. A sheet can stand on water, which would hide its foot. So clouds in the bulk have the
+//!    weight 0. The density that the bulk's widest Gaussian smooths shows what is in the bulk; in
+//!    free sheets of one or two layers, this density is lower. The density of sheets is the
+//!    smoothed product of clouds and weights, divided by the smoothed weights. A sheet therefore
+//!    continues into the bulk, instead of having a rim there.
+//! 2. Shape. Let rho be this density, smoothed by a Gaussian of width s in wide cells and
 //!    interpolated by splines, and let L be the logarithm of rho. The first and second derivatives
 //!    of L are the moments of the particles under that Gaussian: s^2 grad L is their mean offset,
 //!    and s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an
 //!    eigenvalue of B is 1 across a sheet or a filament, where the particles have no width, and 0
 //!    along it, where nothing changes.
-//! 2. Distance. The middle of the sheet lies at the offset s (2 B - B^2) g from the cell. Along the
+//! 3. Distance. The middle of the sheet lies at the offset s (2 B - B^2) g from the cell. Along the
 //!    sheet this offset is 0, and across it, it is the mean offset. At a rim, the eigenvalues of B
 //!    are in between, so the distance to the middle grows smoothly there.
-//! 3. Thickness. At the middle, the density is rho e^E with E = 2 g.g - 3/2 g.Bg. Across a sheet, E
+//! 4. Thickness. At the middle, the density is rho e^E with E = 2 g.g - 3/2 g.Bg. Across a sheet, E
 //!    is g.g / 2; beyond a rim, E compensates for the missing particles. T = tr B is the number of
 //!    directions across: 1 for a sheet, 2 for a filament, 3 for a ball. T and the density at the
 //!    middle give the half thickness or radius R at which such a body has the volume of its
@@ -22,7 +27,7 @@
 //!    minimum gradually: with a = log2 R^2, b = log2 of the squared minimum and w = `GRADUAL`
 //!    divided by the mesh's cell, the result is max(a, b) + max(w - |a - b|, 0)^2 / 4w. The volume
 //!    of a stretching sheet then changes slowly.
-//! 4. Certainty. There is a sheet under three conditions: neighbours are no farther apart than
+//! 5. Certainty. There is a sheet under three conditions: neighbours are no farther apart than
 //!    requested, according to the density at the middle; the middle is near; and B is nearly a
 //!    projection. The squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at
 //!    their rims, and often twice as large in spray. At the corners of a sheet, this distance is as
@@ -30,12 +35,12 @@
 //!    the particles' variances, shows that the particles lie in a plane, so the limits of both
 //!    conditions are wider. Neither a thick body (T < 0.4), nor its surface (det(I - B) > 0.35),
 //!    nor a drop of a few particles (T > 2.45) is a sheet.
-//! 5. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
+//! 6. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
 //!    single cells remain at rims and in spray. The average is the weight with which the shares of
 //!    the sheet replace the shares of drops (see [`distance`](super::distance)). The shares of the
 //!    sheet have a profile of the minimum width for the cells, and have the level of a drop's
 //!    surface at the distance R from the middle.
-//! 6. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
+//! 7. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
 //!    times its certainty, because the surface of the bulk vanishes from a sheet before the sheet's
 //!    particles stand out.
 //!
@@ -48,7 +53,7 @@ mod cpu;
 mod logarithm;
 pub mod vulkan;
 
-pub use cpu::{blend, holds_any, sheets};
+pub use cpu::{blend, holds_any, loose, sheets};
 pub use logarithm::{EXP2, LOG2};
 
 use std::f64::consts::{LN_2, LOG2_E, PI, TAU};
@@ -97,6 +102,11 @@ const GONE: f64 = 1.12;
 /// The factor by which filaments may be stretched farther than sheets: spray seldom looks like
 /// filaments.
 const FILAMENTS_FARTHER: f64 = 1.15;
+/// The range of the density, smoothed with the widest width of the bulk, in which the weight of
+/// clouds falls to 0, in 32768ths of the plateau.
+pub const IN_BULK: Ramp = Ramp::new(in_plateaus(0.38), in_plateaus(0.06));
+/// The least weight by which a density is divided, in 4096ths.
+pub const LEAST_WEIGHT: u32 = 128;
 /// The range of the squared distance of B from a projection in which drops replace sheets.
 pub const IMPURE: Ramp = ramp([0.06, 0.09]);
 /// 1 over the squared distance of B from a projection at which a cell counts fully as a rim.
@@ -130,12 +140,23 @@ const MOST_MORE: f64 = 0.7;
 pub struct Sheets {
     /// The filter that smooths the density in wide cells.
     pub around: Weights,
+    /// The same filter without a gain, for the weights of clouds.
+    pub around_weights: Weights,
     /// The minimum sum of samples in the surroundings of a sheet.
     pub least: u32,
     /// The filter that averages the certainty.
     pub average: Weights,
     /// The constants of the formulas.
     pub numbers: SheetConstants,
+}
+
+/// Clouds, reduced in the bulk.
+#[derive(Debug, Clone)]
+pub struct Loose<F> {
+    /// The products of clouds and weights.
+    pub clouds: F,
+    /// The weights, in 32768ths, and at least [`LEAST_WEIGHT`]; `None` if all are 1.
+    pub weights: Option<F>,
 }
 
 /// The sheets in some cells.
@@ -197,6 +218,11 @@ pub struct SheetConstants {
 /// Converts a number to fixed point.
 const fn fixed(value: f64) -> i32 {
     (value * ONE as f64).round() as i32
+}
+
+/// Converts a fraction of the plateau to 32768ths.
+const fn in_plateaus(fraction: f64) -> u16 {
+    (fraction * 32768.0) as u16
 }
 
 const fn ramp([begin, end]: [f64; 2]) -> Ramp {
@@ -280,7 +306,8 @@ impl Sheets {
             torn: ramp([log2(stretch), gone]),
         };
         Some(Self {
-            around: weights.gaining(gain),
+            around: weights.clone().gaining(gain),
+            around_weights: weights,
             least: 3 * u32::from(wide.amount().steps()) / 2,
             average: Weights::of_variance(average, (2.0 * average.sqrt()).round() as i32),
             numbers,

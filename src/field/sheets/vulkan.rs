@@ -4,10 +4,27 @@ use std::sync::Arc;
 
 use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
 use crate::grid::CellBox;
-use crate::shaders::{BlendPush, SheetsPush};
+use crate::shaders::{BlendPush, LoosePush, SheetsPush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::SheetConstants;
+
+/// Reduces clouds in the bulk, in place, and replaces `smooth` with the weights of the clouds, as in
+/// step 1 of [`sheets`](super). `scale` converts `smooth` to fractions of the plateau.
+///
+/// # Errors
+/// If a view is larger than the storage range of the device, or if the driver fails.
+pub fn loose(
+    batch: &mut Batch,
+    pipeline: &Arc<ComputePipeline>,
+    blocks: &DeviceBlocks,
+    scale: u32,
+    [clouds, smooth]: [&View; 2],
+) -> Result<(), VulkanError> {
+    let push = LoosePush { words: blocks.words, scale };
+    let views = [clouds, smooth].map(Clone::clone);
+    batch.dispatch(pipeline, &views, &push, blocks.flat_groups(pipeline))
+}
 
 /// Computes the shares and the certainty of sheets from the smoothed density.
 ///

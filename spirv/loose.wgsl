@@ -1,0 +1,38 @@
+//! with ramp
+// Reduces clouds in the bulk, so that it does not hide the feet of sheets.
+
+struct LoosePush {
+    // Words of the fields.
+    words: u32,
+    // Converts a smoothed sample to a fraction of the plateau: sample * scale / 16384 is the
+    // fraction in 32768ths.
+    scale: u32,
+}
+
+var<immediate> push: LoosePush;
+// Clouds; replaced by the products of clouds and weights.
+@group(0) @binding(0) var<storage, read_write> clouds: array<u32>;
+// The clouds, smoothed with the widest width; replaced by the weights, in 32768ths, but at
+// least by LEAST_WEIGHT.
+@group(0) @binding(1) var<storage, read_write> smooth_clouds: array<u32>;
+
+fn weight_of(smoothed: u32) -> u32 {
+    let density = min((smoothed * push.scale) >> 14u, FULL);
+    let slope = ((1u << 28u) + IN_BULK_RANGE - 1u) / IN_BULK_RANGE;
+    return 4096u - ramp_at(density, Ramp(IN_BULK_BEGIN, IN_BULK_RANGE, slope));
+}
+
+@compute @workgroup_size(256)
+fn loose(@builtin(global_invocation_id) id: vec3<u32>, @builtin(num_workgroups) groups: vec3<u32>) {
+    let word = id.x + 256u * groups.x * id.y;
+    if word >= push.words {
+        return;
+    }
+    let all = clouds[word];
+    let smoothed = smooth_clouds[word];
+    let weights = vec2(weight_of(smoothed & 0xffffu), weight_of(smoothed >> 16u));
+    let weighed = (vec2(all & 0xffffu, all >> 16u) * weights) >> vec2(12u);
+    clouds[word] = weighed.x | weighed.y << 16u;
+    let divisors = max(weights, vec2(LEAST_WEIGHT)) << vec2(3u);
+    smooth_clouds[word] = divisors.x | divisors.y << 16u;
+}
