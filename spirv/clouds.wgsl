@@ -50,32 +50,16 @@ fn part_of(amount: u32, share: u32) -> u32 {
     return (amount * share + (1u << (SHARE_BITS - 1u))) >> SHARE_BITS;
 }
 
+// A part of a cloud, multiplied by a gain, and rounded.
+fn raised(part: u32, gain: u32) -> u32 {
+    return min((part * gain + (1u << (GAIN_BITS - 1u))) >> GAIN_BITS, FULL);
+}
+
 // The gain of a cell, rounded down for each axis after the first.
 fn gain_of(cell: vec3<i32>) -> u32 {
     let upper = select(vec3(1u << GAIN_BITS), push.gains_hi, cell == push.walls_hi);
     let gains = select(upper, push.gains_lo, cell == push.walls_lo);
     return (((gains.z * gains.y) >> GAIN_BITS) * gains.x) >> GAIN_BITS;
-}
-
-// The coordinates, in bricks, of the brick with a Morton index in its bin.
-fn brick_at(index: u32) -> vec3<u32> {
-    let bits = vec3(index, index >> 1u, index >> 2u);
-    return (bits & vec3(1u)) | ((bits >> vec3(2u)) & vec3(2u));
-}
-
-// The sum number `at` of the group, multiplied by the gain of its cell. `lowest` is the lowest cell
-// of the bin's ghost layer.
-fn sample_of(at: u32, begin: u32, lowest: vec3<i32>, is_at_wall: bool) -> u32 {
-    let sum = min(atomicLoad(&sums[at]), FULL);
-    if !is_at_wall {
-        return sum;
-    }
-    let edge = (1u << push.brick_bits) + 2u * GHOST_LAYER;
-    let place = begin + at;
-    let inside = vec3(place, place / edge, place / (edge * edge)) % edge;
-    let corner = brick_at(place / (edge * edge * edge)) << vec3(push.brick_bits);
-    let gain = gain_of(lowest + vec3<i32>(corner + inside));
-    return min((sum * gain + (1u << (GAIN_BITS - 1u))) >> GAIN_BITS, FULL);
 }
 
 @compute @workgroup_size(256)
@@ -87,6 +71,10 @@ fn clouds(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id)
     let edge = (1u << push.brick_bits) + 2u * GHOST_LAYER;
     let begin = group.x * push.group_samples;
     let bin = bins[group.y];
+    // Clouds reach one cell beyond the bin.
+    let lowest_around = vec3(bin.x, bin.y, bin.z) * BIN - 1;
+    let is_at_wall = any(lowest_around <= push.walls_lo)
+        || any(lowest_around + BIN + 1 >= push.walls_hi);
     for (var i = local.x; i < bin.count; i += 256u) {
         let place = place_of(records[bin.first + i]);
         let cell = place >> vec3(FRACTION_BITS);
@@ -111,7 +99,11 @@ fn clouds(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id)
                     // Wraps around below the part.
                     let to = lowest + x + edge * (y + edge * z) - begin;
                     if to < push.group_samples {
-                        add(to, part_of(in_row, x_shares[x]));
+                        var part = part_of(in_row, x_shares[x]);
+                        if is_at_wall {
+                            part = raised(part, gain_of(at + vec3<i32>(vec3(x, y, z)) - 1));
+                        }
+                        add(to, part);
                     }
                 }
             }
@@ -119,12 +111,9 @@ fn clouds(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id)
     }
     workgroupBarrier();
     let words = push.group_samples / 2u;
-    let lowest = vec3(bin.x, bin.y, bin.z) * BIN - i32(GHOST_LAYER);
-    let last = lowest + BIN + 2 * i32(GHOST_LAYER) - 1;
-    let is_at_wall = any(lowest <= push.walls_lo) || any(last >= push.walls_hi);
     for (var word = local.x; word < words; word += 256u) {
-        let low = sample_of(2u * word, begin, lowest, is_at_wall);
-        let high = sample_of(2u * word + 1u, begin, lowest, is_at_wall);
+        let low = min(atomicLoad(&sums[2u * word]), FULL);
+        let high = min(atomicLoad(&sums[2u * word + 1u]), FULL);
         pages[group.y * push.page_words + group.x * words + word] = low | (high << 16u);
     }
 }

@@ -297,7 +297,7 @@ pub fn sheets<F: Fields>(
     // A thin layer of fluid on a solid is not a sheet, so clouds are continued into solids.
     let filled = fields.filled(&clouds)?;
     drop(clouds);
-    let smooth = fields.blur(filled.clone(), &bulk.widths[2].weights)?;
+    let smooth = fields.blur(filled.clone(), &by.bulk)?;
     let Loose { clouds, weights } = fields.loose(filled, smooth, bulk.scale)?;
     let mut density = fields.blur(clouds, &by.around)?;
     if let Some(weights) = weights {
@@ -408,7 +408,7 @@ pub trait Fields {
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
 
     /// Clouds, reduced in the bulk, as in step 1 of [`sheets`](crate::field::sheets). `smooth` are
-    /// the clouds, smoothed with the widest width, which `scale` converts to fractions of the
+    /// the clouds, smoothed by the filter that shows the bulk, which `scale` converts to fractions of the
     /// plateau.
     fn loose(
         &mut self,

@@ -18,7 +18,7 @@ use meniscus::internals::vulkan::{
 
 use crate::common::scene::Random;
 use crate::common::{
-    INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, tank, uneven_tank,
+    INDICATORS, device, dif, reconstruct, sampling, splashes, surfacing, uneven_tank,
 };
 use crate::compile;
 

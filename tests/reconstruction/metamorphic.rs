@@ -109,7 +109,7 @@ impl Frame {
     }
 }
 
-/// Checks that a mesh has exactly one vertex near each of these positions.
+/// Checks that a mesh has a vertex near each of these positions, and no others.
 fn assert_same_places(
     mesh: &Mesh,
     expected: impl IntoIterator<Item = DVec3>,
@@ -123,17 +123,20 @@ fn assert_same_places(
     };
     let found = by_x(&mut mesh.positions.iter().map(|&p| p.into()));
     let expected = by_x(&mut expected.into_iter());
-    assert_eq!(found.len(), expected.len(), "{what}: vertices");
-    let alone = |some: &[DVec3], others: &[DVec3]| {
+    let alone = |some: &[DVec3], others: &[DVec3]| -> Vec<DVec3> {
         let has_near = |p: &DVec3| {
             let from = others.partition_point(|other| other.x < p.x - within);
             let mut near = others[from..].iter().take_while(|other| other.x <= p.x + within);
             near.any(|other| other.distance(*p) < within)
         };
-        some.iter().filter(|p| !has_near(p)).count()
+        some.iter().copied().filter(|p| !has_near(p)).collect()
     };
     let alone = [alone(&found, &expected), alone(&expected, &found)];
-    assert_eq!(alone, [0; 2], "{what}: vertices without a near counterpart");
+    assert_eq!(alone, [vec![], vec![]], "{what}: vertices without a near counterpart");
+    // In a mirror, the sign of a cell almost on the surface can change, with the vertices around it.
+    let most = if within > NEAR { expected.len() / 100 } else { 0 };
+    let apart = found.len().abs_diff(expected.len());
+    assert!(apart <= most, "{what}: {} and {} vertices", found.len(), expected.len());
 }
 
 fn volume(mesh: &Mesh) -> f64 {

@@ -302,7 +302,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
             "cells per spacing, got",
         ),
         (&["--periodic-mesh", "overlap"], 2, "--periodic-mesh has no effect without --periodic"),
-        (&["--periodic", "0,-,0,23,-,24"], 3, "is outside the periodic box along x"),
+        (&["--periodic", "0.5,-,0,24.5,-,24"], 3, "is outside the periodic box along x"),
         (
             &["--periodic", BOX, "--domain", "-,0,-,-,nan,-"],
             2,

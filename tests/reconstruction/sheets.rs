@@ -1,5 +1,7 @@
 //! Tests of stretched sheets and filaments of particles.
 
+use std::f64::consts::TAU;
+
 use glam::{DMat3, DVec3};
 use meniscus::Reconstruction;
 use meniscus::mesh::{Measures, measure};
@@ -95,6 +97,43 @@ fn stretched_filaments_of_particles_stay_connected() {
         let volume = found.volume.unwrap() / 20.0;
         assert!((0.4..2.0).contains(&volume), "{stretch}: {volume}");
     }
+}
+
+/// Water six particles deep, and what stands on it: a crown of one layer, and a filament in its
+/// middle. Both are stretched, and everything is jittered and rotated against the grid.
+fn splash(stretch: f64) -> Vec<[f64; 3]> {
+    let mut random = Random::new(19);
+    let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.7, 0.4, 0.3);
+    let mut particles = Vec::new();
+    let mut add = |place: DVec3, jitter: f64| {
+        let off = DVec3::from([(); 3].map(|()| jitter * (2.0 * random.unit() - 1.0)));
+        particles.push((turn * (place + off)).to_array());
+    };
+    for i in 0..30 * 30 * 6 {
+        let place = [i % 30, i / 900, i / 30 % 30].map(f64::from);
+        add(DVec3::from(place) - DVec3::new(14.5, 5.5, 14.5), 0.2);
+    }
+    let around = (TAU * 7.0 / stretch).round() as u32;
+    for row in 0..(8.0 / stretch) as u32 {
+        let height = (f64::from(row) + 0.5) * stretch;
+        for i in 0..around {
+            let (sin, cos) = (TAU * f64::from(i) / f64::from(around)).sin_cos();
+            add(DVec3::new(7.0 * cos, height, 7.0 * sin), 0.2);
+        }
+        add(DVec3::new(0.3, height, -0.2), 0.1);
+    }
+    particles
+}
+
+#[test]
+fn sheets_and_filaments_that_stand_on_water_hold_down_to_the_water() {
+    for (stretch, cell) in [(1.0, 0.5), (1.3, 0.5), (1.3, 0.25), (1.6, 0.5), (1.6, 0.25)] {
+        let particles = splash(stretch);
+        let found = measured(&particles, cell, 2.15);
+        assert_eq!((found.components, found.genus), (1, Some(0)), "{stretch}, cells of {cell}");
+    }
+    let torn = measured(&splash(1.6), 0.25, 0.0);
+    assert!(torn.genus > Some(20), "{torn:?}");
 }
 
 #[test]

@@ -157,6 +157,29 @@ fn a_lone_particle_of_any_size_keeps_about_its_volume() {
 }
 
 #[test]
+fn a_sheet_of_several_sizes_is_as_thick_as_its_particles_fill_it() {
+    let mut random = Random::new(29);
+    let mut sheet = Sized::default();
+    let mut x: f64 = 0.0;
+    // The sizes grow from 1 to 1.9 along x, and neighbours are 1.3 sizes apart.
+    while x < 50.0 {
+        let size = 1.0 + 0.9 * x / 50.0;
+        for row in 0..(36.0 / (1.3 * size)) as u32 {
+            let place = [x, 1.3 * size * f64::from(row), 0.0];
+            sheet.positions.push(place.map(|p| p + 0.2 * size * (random.unit() - 0.5)));
+            sheet.sizes.push(size as f32);
+        }
+        x += 1.3 * size;
+    }
+    for cell in [0.5, 0.25] {
+        let found = measure(&sheet.mesh(&request().cell(cell)));
+        assert_eq!((found.components, found.genus), (1, Some(0)), "cells of {cell}");
+        let volume = found.volume.unwrap() / sheet.volume();
+        assert!((0.85..1.3).contains(&volume), "cells of {cell}: {volume}");
+    }
+}
+
+#[test]
 fn mixed_particle_sizes_leave_no_bubbles() {
     // Each cube contains either one large particle or eight small particles.
     let mut random = Random::new(9);
@@ -420,7 +443,7 @@ fn settings_that_need_one_size_refuse_particles_of_several_sizes() {
 fn pools_in_a_box() -> (Sized, Faces) {
     let mut random = Random::new(21);
     // Along y, the box has almost the minimum width.
-    let edges = [112.0, 56.0];
+    let edges = [116.0, 58.0];
     let mut water = Sized::default()
         .with([[0.0; 3], [edges[0] / 2.0, edges[1], 12.0]], 1.0, &mut random)
         .with([[edges[0] / 2.0, 0.0, 0.0], [edges[0], edges[1], 12.0]], 2.0, &mut random);

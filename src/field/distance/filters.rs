@@ -233,7 +233,7 @@ impl DistanceFilters {
             // The halo of sheets is in the cells of drops, which are half as wide as wide cells.
             let halo =
                 if self.level > self.drops_level { sheets.halo() / 2 + 1 } else { sheets.halo() };
-            self.bulk.widths[2].weights.reach() + sheets.around.reach() + halo
+            sheets.bulk.reach() + sheets.around.reach() + halo
         };
         self.sheets.as_ref().map_or(0, further)
     }
@@ -285,10 +285,9 @@ impl DistanceFilters {
     /// The weights of all filters.
     pub fn weights(&self) -> impl Iterator<Item = &Weights> {
         let widths = self.bulk.widths.iter().map(|width| &width.weights);
-        let sheets = self
-            .sheets
-            .iter()
-            .flat_map(|sheets| [&sheets.around, &sheets.around_weights, &sheets.average]);
+        let sheets = self.sheets.iter().flat_map(|sheets| {
+            [&sheets.bulk, &sheets.around, &sheets.around_weights, &sheets.average]
+        });
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread]).chain(sheets)
     }
 

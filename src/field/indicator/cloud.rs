@@ -4,7 +4,7 @@ use glam::{DVec3, IVec3};
 use multiversion::multiversion;
 
 use crate::brick::{BinContents, BrickSide, FrameFacts, PageInfo, PageSamples, PageShape, unpack};
-use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS, local_from_morton};
+use crate::grid::{BIN, CellBox, FRACTION_BITS, FRACTIONS};
 
 /// The reach of a cloud beyond its cell, in cells.
 pub const GHOST_LAYER: i32 = 1;
@@ -53,8 +53,8 @@ const LEAST_WIDTH: f64 = 2.5;
 /// The walls at which clouds end.
 ///
 /// The outermost layer of cells in a tank extends to the wall, so it is between 0.5 and 1.5 cells
-/// thick, and holds as many times the particles of a whole cell. Its samples are divided by the
-/// thickness, because filters repeat them beyond the wall.
+/// thick, and holds as many times the particles of a whole cell. What particles add to its samples
+/// is divided by the thickness, because filters repeat these samples beyond the wall.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CloudWalls {
     /// The cells within the walls.
@@ -93,9 +93,20 @@ impl CloudWalls {
 }
 
 /// A product of gains, rounded down.
+#[inline(always)]
 fn both(a: u32, b: u32) -> u32 {
     (a * b) >> GAIN_BITS
 }
+
+/// A part of a cloud, multiplied by a gain, rounded. Parts are multiplied one by one, so that
+/// samples do not depend on how bricks divide a bin.
+#[inline(always)]
+fn raised(part: u32, gain: u32) -> u32 {
+    (part * gain + NO_GAIN / 2) >> GAIN_BITS
+}
+
+/// The number of cells of a bin along an axis, with the cells below and above.
+const ROW_AROUND: usize = ROW + 2;
 
 /// The cells at which clouds end along each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,15 +114,28 @@ struct CloudLimits {
     /// For each axis, the lowest and the highest cell within the walls, relative to the bin. These
     /// cells may lie outside the bin.
     ends: [[i32; 2]; 3],
+    /// For each axis, the gain of each cell, from the one below the bin to the one above; `None` if
+    /// all of them are 1.
+    gains: Option<[[u32; ROW_AROUND]; 3]>,
 }
 
 impl CloudLimits {
     /// The limits for a bin; `None` if no wall affects it.
-    fn of(walls: CellBox, bin: IVec3) -> Option<Self> {
-        let (lo, hi) = ((walls.lo - bin * BIN).to_array(), (walls.hi - 1 - bin * BIN).to_array());
-        let touched = |cell: &i32| (0..BIN).contains(cell);
-        (lo.iter().any(touched) || hi.iter().any(touched))
-            .then(|| Self { ends: [0, 1, 2].map(|axis| [lo[axis], hi[axis]]) })
+    fn of(walls: &CloudWalls, bin: IVec3) -> Option<Self> {
+        let [lo, hi] = [walls.cells.lo, walls.cells.hi - 1].map(|end| (end - bin * BIN).to_array());
+        let touched = |cell: &i32| (-1..=BIN).contains(cell);
+        if !(lo.iter().any(touched) || hi.iter().any(touched)) {
+            return None;
+        }
+        let first = bin * BIN - 1;
+        let gains = [0, 1, 2].map(|axis: usize| {
+            let mut gains = [NO_GAIN; ROW_AROUND];
+            gains.iter_mut().zip(first[axis]..).for_each(|(to, cell)| *to = walls.gain(axis, cell));
+            gains
+        });
+        let is_even = gains == [[NO_GAIN; ROW_AROUND]; 3];
+        let gains = (!is_even).then_some(gains);
+        Some(Self { ends: [0, 1, 2].map(|axis| [lo[axis], hi[axis]]), gains })
     }
 
     /// The shares of a cloud around a cell. A share beyond a wall is added to the share of the last
@@ -177,7 +201,8 @@ impl Clouds {
         bin: IVec3,
         particles: &[(u64, u32)],
     ) -> Option<(PageInfo, PageSamples)> {
-        let walls = self.walls.and_then(|walls| CloudLimits::of(walls.cells, bin));
+        let walls = self.walls.and_then(|walls| CloudLimits::of(&walls, bin));
+        let gains = walls.and_then(|walls| walls.gains);
         let edge = self.shape.edge() as usize;
         for &(record, amount) in particles {
             let (cell, offset) = unpack(record);
@@ -190,9 +215,16 @@ impl Clouds {
                 for (row, y) in y.into_iter().enumerate() {
                     let in_row = wide_part_of(wide_part_of(amount, z), y);
                     let to = &mut room[first + edge * (edge * plane + row)..][..3];
-                    for (to, x) in to.iter_mut().zip(x) {
+                    for (column, (to, x)) in to.iter_mut().zip(x).enumerate() {
                         let part = wide_part_of(in_row, x).min(u16::MAX.into());
-                        *to = to.saturating_add(part as u16);
+                        let part = match &gains {
+                            Some([gx, gy, gz]) => {
+                                let of_row = both(gz[cell[2] + plane], gy[cell[1] + row]);
+                                raised(part, both(of_row, gx[cell[0] + column]))
+                            }
+                            None => part,
+                        };
+                        *to = to.saturating_add(part.min(u16::MAX.into()) as u16);
                     }
                 }
             }
@@ -207,7 +239,7 @@ impl Clouds {
         bin: IVec3,
         particles: &BinContents<'_>,
     ) -> (PageInfo, PageSamples) {
-        let walls = self.walls.and_then(|walls| CloudLimits::of(walls.cells, bin));
+        let walls = self.walls.and_then(|walls| CloudLimits::of(&walls, bin));
         let add = match self.shape.side {
             BrickSide::Four => add_clouds::<{ edge(BrickSide::Four) }>,
             BrickSide::Eight => add_clouds::<{ edge(BrickSide::Eight) }>,
@@ -219,31 +251,6 @@ impl Clouds {
         self.take_page(room, bin, cells).expect("a bin holds particles")
     }
 
-    /// Multiplies the samples of the outermost layers in a bin by their gains.
-    fn raise(&self, samples: &mut [u16], walls: &CloudWalls, bin: IVec3) {
-        let (side, edge) = (self.shape.side.cells(), self.shape.edge());
-        let lowest = bin * BIN - GHOST_LAYER;
-        let inner = walls.cells.grown(-1, -1);
-        let is_even = walls.gains == [[NO_GAIN; 3]; 2];
-        if is_even || inner.covers(&CellBox { lo: lowest, hi: lowest + BIN + 2 * GHOST_LAYER }) {
-            return;
-        }
-        let bricks = samples.chunks_exact_mut(self.shape.brick_samples());
-        for (brick, samples) in bricks.enumerate() {
-            let lowest = lowest + local_from_morton(brick) * side;
-            let gains =
-                [0, 1, 2].map(|axis| (0..edge).map(move |at| walls.gain(axis, lowest[axis] + at)));
-            let [x, y, z] = gains.map(|gains| gains.collect::<Vec<u32>>());
-            let rows = z.iter().flat_map(|&z| y.iter().map(move |&y| both(z, y)));
-            for (row, of_row) in samples.chunks_exact_mut(edge as usize).zip(rows) {
-                for (sample, &x) in row.iter_mut().zip(&x) {
-                    let raised = u32::from(*sample) * both(of_row, x) + NO_GAIN / 2;
-                    *sample = (raised >> GAIN_BITS).min(u16::MAX.into()) as u16;
-                }
-            }
-        }
-    }
-
     /// Takes the page of particles in the given `cells` of a bin out of `room`, and leaves zeros.
     fn take_page(
         &self,
@@ -252,9 +259,6 @@ impl Clouds {
         cells: impl ExactSizeIterator<Item = [usize; 3]>,
     ) -> Option<(PageInfo, PageSamples)> {
         let samples = &mut room[..self.shape.bin_samples()];
-        if let Some(walls) = &self.walls {
-            self.raise(samples, walls, bin);
-        }
         if PageSamples::are_sparse(self.shape.cells_a_particle() * cells.len(), self.shape) {
             // Most samples are untouched and need not be examined.
             PageInfo::take_sparse(bin, samples, cells, self.shape)
@@ -314,6 +318,9 @@ fn add_clouds<const EDGE: usize>(
                 }
             }
         }
+        if let Some(gains) = walls.and_then(|walls| walls.gains) {
+            raise(&mut rows, &gains, &batch);
+        }
         for (i, &particle) in packed.iter().enumerate() {
             let ([x, y, z], _) = unpack(particle);
             let first = firsts[0][x] + firsts[1][y] + firsts[2][z];
@@ -324,6 +331,26 @@ fn add_clouds<const EDGE: usize>(
                     to.iter_mut()
                         .zip(&rows[i])
                         .for_each(|(to, part)| *to = to.saturating_add(*part));
+                }
+            }
+        }
+    }
+}
+
+/// Multiplies the parts of a batch of clouds by the gains of their cells.
+fn raise(
+    rows: &mut [[[[u16; 4]; BATCH]; 3]; 3],
+    [x, y, z]: &[[u32; ROW_AROUND]; 3],
+    batch: &[u64; BATCH],
+) {
+    for (plane, rows) in rows.iter_mut().enumerate() {
+        for (row, rows) in rows.iter_mut().enumerate() {
+            for (parts, &particle) in rows.iter_mut().zip(batch) {
+                let (cell, _) = unpack(particle);
+                let of_row = both(z[cell[2] + plane], y[cell[1] + row]);
+                for (part, &gain) in parts.iter_mut().zip(&x[cell[0]..cell[0] + 3]) {
+                    let more = raised(u32::from(*part), both(of_row, gain));
+                    *part = more.min(u16::MAX.into()) as u16;
                 }
             }
         }
@@ -361,42 +388,38 @@ mod tests {
     fn gains_apply_to_the_outermost_layers_only_and_multiply_at_edges() {
         let cells = CellBox { lo: IVec3::new(2, 0, -40), hi: IVec3::new(40, 9, 40) };
         let walls = CloudWalls { cells, gains: [[8192, 2731, NO_GAIN], [3000, 5000, 6000]] };
-        let shape = PageShape { side: BrickSide::Four, ghost_layer: GHOST_LAYER };
-        let clouds = Clouds::new(Amount(100), Some(walls), shape);
-        let mut samples = vec![1000; shape.bin_samples()];
-        clouds.raise(&mut samples, &walls, IVec3::ZERO);
-        let first = clouds.firsts;
+        let gains = CloudLimits::of(&walls, IVec3::ZERO).unwrap().gains.unwrap();
+        // The first gain along each axis is that of the cell below the bin.
         let of_cell = |[x, y, z]: [usize; 3]| {
-            // The lowest sample around a cell is that of the cell below along each axis.
-            samples[first[0][x + 1] + first[1][y + 1] + first[2][z + 1]]
+            let gain = both(both(gains[2][z + 1], gains[1][y + 1]), gains[0][x + 1]);
+            raised(1000, gain)
         };
         assert_eq!(of_cell([5, 5, 5]), 1000);
         assert_eq!(of_cell([2, 5, 5]), 2000);
         assert_eq!(of_cell([5, 0, 5]), 667);
         assert_eq!(of_cell([5, 8, 5]), 1221);
         assert_eq!(of_cell([2, 0, 5]), 1333);
-        // A bin in the middle stays as it is.
-        let mut samples = vec![1000; shape.bin_samples()];
-        clouds.raise(&mut samples, &walls, IVec3::new(1, 40, 0));
-        assert!(samples.iter().all(|&sample| sample == 1000));
+        // The cells of a neighbouring bin count too, because clouds reach into them.
+        let above = CloudWalls { cells: CellBox { hi: IVec3::new(17, 90, 40), ..cells }, ..walls };
+        assert_eq!(CloudLimits::of(&above, IVec3::ZERO).unwrap().gains.unwrap()[0][17], 3000);
+        assert_eq!(CloudLimits::of(&walls, IVec3::new(1, 40, 0)), None, "a bin in the middle");
     }
 
     #[test]
     fn weights_beyond_a_wall_move_to_the_last_cell_inside() {
         let tank = CellBox { lo: IVec3::new(16, -40, 3), hi: IVec3::new(17, 40, 32) };
-        let walls = CloudLimits::of(tank, IVec3::new(1, 0, 0)).unwrap();
+        let limits = |cells: CellBox, bin: IVec3| {
+            CloudLimits::of(&CloudWalls { cells, gains: [[NO_GAIN; 3]; 2] }, bin)
+        };
+        let walls = limits(tank, IVec3::new(1, 0, 0)).unwrap();
         assert_eq!(walls.fold(0, 0, [1, 20, 300]), [0, 321, 0], "one cell between two walls");
         assert_eq!(walls.fold(1, 0, [1, 20, 300]), [1, 20, 300], "far from both");
         assert_eq!(walls.fold(2, 3, [1, 20, 300]), [0, 21, 300], "at the lower one");
         assert_eq!(walls.fold(2, 4, [1, 20, 300]), [1, 20, 300]);
         assert_eq!(
-            CloudLimits::of(tank, IVec3::new(0, 0, 1)).map(|walls| walls.fold(2, 15, [1, 20, 300])),
+            limits(tank, IVec3::new(0, 0, 1)).map(|walls| walls.fold(2, 15, [1, 20, 300])),
             Some([1, 320, 0])
         );
-        assert_eq!(
-            CloudLimits::of(CellBox::cube(IVec3::ZERO, 64), IVec3::ONE),
-            None,
-            "a bin in the middle"
-        );
+        assert_eq!(limits(CellBox::cube(IVec3::ZERO, 64), IVec3::ONE), None, "a bin in the middle");
     }
 }

@@ -33,7 +33,7 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Reduces clouds in the bulk, on the cells of `smooth`: the clouds, smoothed with the widest width,
+/// Reduces clouds in the bulk, on the cells of `smooth`: the clouds, smoothed by the filter that shows the bulk,
 /// which `scale` converts to fractions of the plateau.
 ///
 /// # Panics
@@ -448,6 +448,25 @@ mod tests {
     /// space x < 0 is full of fluid.
     fn half(x: f64) -> f64 {
         (0.5 * libm::erfc(x / width() / 2.0_f64.sqrt())).log2()
+    }
+
+    #[test]
+    fn clouds_in_the_bulk_have_no_weight_and_elsewhere_stay_as_they_are() {
+        let row = CellBox { lo: IVec3::ZERO, hi: IVec3::new(4, 1, 1) };
+        let block = |samples: [u16; 4]| {
+            let mut block = Block::zero(row);
+            block.samples_mut().copy_from_slice(&samples);
+            block
+        };
+        // With this scale, a plateau is 32768.
+        let scale = 1 << 14;
+        let [outside, between] = [IN_BULK.begin, IN_BULK.begin + IN_BULK.range / 2];
+        let found = loose(&block([8000; 4]), block([0, outside, between, 20000]), scale);
+        assert_eq!(found.clouds.samples(), [8000, 8000, 4000, 0]);
+        let least = (LEAST_WEIGHT << 3) as u16;
+        assert_eq!(found.weights.unwrap().samples(), [32768, 32768, 16384, least]);
+        let free = loose(&block([8000; 4]), block([0, 0, 0, outside]), scale);
+        assert!(free.weights.is_none() && free.clouds.samples() == [8000; 4]);
     }
 
     #[test]

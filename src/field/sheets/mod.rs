@@ -5,10 +5,10 @@
 //! it lies, and how thick it is.
 //!
 //! 1. Loose. A sheet can stand on water, which would hide its foot. So clouds in the bulk have the
-//!    weight 0. The density that the bulk's widest Gaussian smooths shows what is in the bulk; in
-//!    free sheets of one or two layers, this density is lower. The density of sheets is the
-//!    smoothed product of clouds and weights, divided by the smoothed weights. A sheet therefore
-//!    continues into the bulk, instead of having a rim there.
+//!    weight 0. The density under a Gaussian, cut off early, shows what is in the bulk: in free
+//!    sheets of one or two layers, it is lower. The density of sheets is the smoothed product of
+//!    clouds and weights, divided by the smoothed weights. A sheet therefore continues into the
+//!    bulk, instead of having a rim there.
 //! 2. Shape. Let rho be this density, smoothed by a Gaussian of width s in wide cells and
 //!    interpolated by splines, and let L be the logarithm of rho. The first and second derivatives
 //!    of L are the moments of the particles under that Gaussian: s^2 grad L is their mean offset,
@@ -61,7 +61,7 @@ use std::f64::consts::{LN_2, LOG2_E, PI, TAU};
 use libm::log2;
 
 use crate::field::blur::Weights;
-use crate::field::distance::{LEAST_VARIANCE, Ramp, SPLINE, gaussian};
+use crate::field::distance::{BULK_GAIN, LEAST_VARIANCE, Ramp, SPLINE, gaussian};
 use crate::field::indicator::WideCells;
 use crate::grid::units::SheetStretch;
 
@@ -102,9 +102,14 @@ const GONE: f64 = 1.12;
 /// The factor by which filaments may be stretched farther than sheets: spray seldom looks like
 /// filaments.
 const FILAMENTS_FARTHER: f64 = 1.15;
-/// The range of the density, smoothed with the widest width of the bulk, in which the weight of
-/// clouds falls to 0, in 32768ths of the plateau.
-pub const IN_BULK: Ramp = Ramp::new(in_plateaus(0.38), in_plateaus(0.06));
+/// The width of the Gaussian that shows the bulk, in spacings.
+const BULK_WIDTH: f64 = 1.45;
+/// The cut-off of this Gaussian, in standard deviations. The cut keeps the reach of sheets short,
+/// and hardly matters for the density of the bulk.
+const BULK_CUT: f64 = 1.5;
+/// The range of this Gaussian's density in which the weight of clouds falls to 0, in 32768ths of
+/// the plateau.
+pub const IN_BULK: Ramp = Ramp::new(in_plateaus(0.34), in_plateaus(0.06));
 /// The least weight by which a density is divided, in 4096ths.
 pub const LEAST_WEIGHT: u32 = 128;
 /// The range of the squared distance of B from a projection in which drops replace sheets.
@@ -138,6 +143,8 @@ const MOST_MORE: f64 = 0.7;
 /// narrower cells in which drops are made.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheets {
+    /// The filter that shows the bulk, in wide cells, with the gain of the bulk's own filters.
+    pub bulk: Weights,
     /// The filter that smooths the density in wide cells.
     pub around: Weights,
     /// The same filter without a gain, for the weights of clouds.
@@ -305,7 +312,9 @@ impl Sheets {
             by_distance: fixed(LOG2_E / 2.0 * (width / profile).powi(2)),
             torn: ramp([log2(stretch), gone]),
         };
+        let (bulk, _) = gaussian(BULK_WIDTH / wide.edge, LEAST_VARIANCE, BULK_CUT);
         Some(Self {
+            bulk: bulk.gaining(BULK_GAIN),
             around: weights.clone().gaining(gain),
             around_weights: weights,
             least: 3 * u32::from(wide.amount().steps()) / 2,

@@ -5,6 +5,7 @@ use glam::IVec3;
 
 use crate::brick::Block;
 use crate::field::distance::{Drops, NONE, StandsOut, ZERO, away, greatest_of};
+use crate::field::sheets::{BITS, ONE};
 
 /// A share of 1.
 pub const WHOLE: u32 = 1 << 15;
@@ -113,7 +114,10 @@ impl OctaveDrops<'_> {
                     continue;
                 }
                 let size = sizes.map_or(0, |sizes| sizes.samples()[at]);
+                // The share of a sheet already depends on the amount of fluid in it.
+                let of_drops = i64::from(ONE - i32::from(certain));
                 let more = (i64::from(growth) * i64::from(exp2(size) - WHOLE)) >> 15;
+                let more = (more * of_drops) >> BITS;
                 let radius = drops.radius + more as i32;
                 let distance = (radius - away(shares.samples()[at], drops.width)) << octave;
                 let bulk = i32::from(*to) - ZERO;

@@ -28,6 +28,14 @@ const RADIUS: f64 = 12.0;
 const APART: f64 = 1.4;
 /// Jitter of the particles of a shell, in spacings.
 const SHELL_JITTER: f64 = 0.1;
+/// The stretches of the crowns that stand on water.
+const CROWNS: [f64; 3] = [1.0, 1.3, 1.6];
+/// The radius of a crown, in spacings.
+const CROWN_RADIUS: f64 = 12.0;
+/// The height of a crown, in spacings.
+const CROWN_HEIGHT: f64 = 10.0;
+/// Half the width, and the depth, of the water below a crown, in spacings.
+const WATER: IVec3 = IVec3::new(20, 7, 20);
 /// Number of filaments.
 const FILAMENTS: usize = 24;
 /// Number of particles of each filament.
@@ -62,6 +70,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let samples =
         Samples { cells: options.choose(&CELLS[..], &CELLS[..1]), seeds: 0..options.choose(3, 2) };
     still(board, &samples)?;
+    standing(board, &samples)?;
     in_filaments(board, &samples)?;
     in_spray(board, &samples)?;
     let (layers, frames) = options.choose((&SLOW[..], FRAMES), (&SLOW[..1], FRAMES / 2));
@@ -112,6 +121,36 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
             seeds.len()
         ),
         sheets.chain(shells).collect(),
+    )
+}
+
+/// Prints the table of crowns that stand on water.
+fn standing(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+    let kinds = [1, 2].into_iter().flat_map(|layers| CROWNS.map(|stretch| (layers, stretch)));
+    let lines = in_cells(kinds, cells).map(|((layers, stretch), cell)| {
+        let scenes: Vec<Points> = seeds.clone().map(|seed| crown(layers, stretch, seed)).collect();
+        let volume = scenes[0].len() as f64;
+        Line {
+            rows: vec![format!(
+                "{} stretched {stretch:.1} times, {}",
+                of(layers),
+                cell_name(Some(cell))
+            )],
+            cell: Some(cell),
+            lost: Lost::Scene,
+            scenes: scenes.into_iter().map(Scene::from).collect(),
+            read: Box::new(move |meshes| {
+                Ok(vec![text(meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect())])
+            }),
+        }
+    });
+    board.table(
+        &format!(
+            "crowns of radius {CROWN_RADIUS} that stand on water, jittered by {JITTER}: pieces / \
+             holes / volume over the particles', mean of {}",
+            seeds.len()
+        ),
+        lines.collect(),
     )
 }
 
@@ -222,6 +261,29 @@ fn sheet(layers: i32, stretch: f64, seed: usize) -> Points {
             let place = scale * (DVec3::from(p) - size.as_dvec3() / 2.0);
             (lattice.shift + lattice.turn * (place + off(JITTER, &mut random))).into()
         })
+        .collect()
+}
+
+/// The particles of water, and of a stretched crown that stands on it.
+fn crown(layers: i32, stretch: f64, seed: usize) -> Points {
+    let lattice = lattice(seed, JITTER);
+    let mut random = Random::new(lattice.seed);
+    let (lo, hi) = (-WATER, IVec3::new(WATER.x, 0, WATER.z));
+    let water = cuboid(lo, hi, 0.0, &mut Random::new(0)).into_iter().map(DVec3::from);
+    let around = (std::f64::consts::TAU * CROWN_RADIUS / stretch).round();
+    let rows = (CROWN_HEIGHT / stretch) as i32;
+    let at = |layer: i32, row: i32, n: i32| {
+        let radius =
+            CROWN_RADIUS + (f64::from(layer) - f64::from(layers - 1) / 2.0) * stretch.powi(-2);
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(n) / around).sin_cos();
+        DVec3::new(radius * cos, (f64::from(row) + 0.5) * stretch, radius * sin)
+    };
+    let crown = (0..layers).flat_map(|layer| {
+        (0..rows).flat_map(move |row| (0..around as i32).map(move |n| at(layer, row, n)))
+    });
+    water
+        .chain(crown)
+        .map(|place| (lattice.shift + lattice.turn * (place + off(JITTER, &mut random))).into())
         .collect()
 }
 
@@ -368,6 +430,8 @@ mod tests {
         let diagonal = DVec3::new(1.5 * 39.0, 1.0 / 2.25, 0.0).length();
         assert!((one.distance(other) - diagonal).abs() < 4.0 * JITTER, "{one} {other}");
 
+        let crown = crown(1, 1.5, 0);
+        assert_eq!(crown.len(), 40 * 40 * 7 + 50 * 6);
         let shell = shell(0);
         let nearest = |(n, &p): (usize, &[f64; 3])| {
             let others = shell.iter().enumerate().filter(|&(other, _)| other != n);
