@@ -1,8 +1,11 @@
 //! Tests of water in tanks whose walls are anywhere between the faces of cells.
 
 use meniscus::Reconstruction;
+use meniscus::internals::brick::BrickSide;
+use meniscus::internals::field::indicator::IndicatorKind;
+use meniscus::internals::frame::Sampling;
 
-use crate::common::fill;
+use crate::common::{fill, reconstruct, sampling, splashes, surfacing, uneven_tank};
 
 /// Half the width of the pool.
 const HALF: f64 = 12.0;
@@ -38,6 +41,21 @@ fn the_level_beside_a_wall_is_independent_of_the_cells() {
             let mean = apart.sum::<f64>() / seeds as f64;
             assert!(mean.abs() < 0.04, "cells of {cell}, {phase} above a face: {mean}");
         }
+    }
+}
+
+#[test]
+fn meshes_in_a_tank_are_independent_of_the_bricks() {
+    let particles = splashes(7);
+    let mesh = |side| {
+        let mut sampling =
+            Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(0.8), ..sampling() };
+        (sampling.side, sampling.domain) = (side, Some(uneven_tank(&sampling.grid)));
+        reconstruct(&particles[..], &sampling, &surfacing()).1.mesh
+    };
+    let expected = mesh(BrickSide::Eight);
+    for side in [BrickSide::Four, BrickSide::Sixteen] {
+        assert!(mesh(side) == expected, "{side:?}");
     }
 }
 
