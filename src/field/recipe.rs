@@ -408,8 +408,8 @@ pub trait Fields {
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
 
     /// Clouds, reduced in the bulk, as in step 1 of [`sheets`](crate::field::sheets). `smooth` are
-    /// the clouds, smoothed by the filter that shows the bulk, which `scale` converts to fractions of the
-    /// plateau.
+    /// the clouds, smoothed by the filter that shows the bulk, which `scale` converts to fractions
+    /// of the plateau.
     fn loose(
         &mut self,
         clouds: Self::Field,

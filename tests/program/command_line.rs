@@ -1024,7 +1024,8 @@ fn volume_and_component_count_of_real_frames_depend_little_on_cell_size() {
             for cell in ["0.5", "0.4", "0.35", "0.333333", "0.25"] {
                 let (fine, fine_pieces) = found(cell);
                 let what = format!("{} by {indicator} in cells of {cell}", frame.display());
-                assert!((fine / volume - 1.0).abs() < 0.03, "{what}: {fine} of {volume}");
+                // Sheets are thicker in coarse cells.
+                assert!((fine / volume - 1.0).abs() < 0.04, "{what}: {fine} of {volume}");
                 let within = if indicator == "cloud" { pieces / 10 + 3 } else { 2 };
                 assert!(
                     fine_pieces.abs_diff(pieces) <= within,

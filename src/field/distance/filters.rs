@@ -307,7 +307,7 @@ impl DistanceFilters {
         let drops = around(wide_cells(self.drops_level, cells(BLOCK)), self.drops_halo());
         let sheets = around(self.wide_cells(cells(BLOCK)), self.sheets_halo());
         let all = self.wide_cells(cells(2 * BLOCK));
-        let thin = 8 * drops + 3 * sheets + 4 * volume_bytes(cells(BLOCK));
+        let thin = 8 * drops + 4 * sheets + 4 * volume_bytes(cells(BLOCK));
         self.bulk_bytes(all).max(thin + 2 * volume_bytes(all))
     }
 }

@@ -147,7 +147,7 @@ pub struct Sheets {
     pub bulk: Weights,
     /// The filter that smooths the density in wide cells.
     pub around: Weights,
-    /// The same filter without a gain, for the weights of clouds.
+    /// The filter that smooths the weights of clouds: `around` without its gain.
     pub around_weights: Weights,
     /// The minimum sum of samples in the surroundings of a sheet.
     pub least: u32,
