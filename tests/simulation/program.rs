@@ -1113,7 +1113,7 @@ fn a_fluid_at_rest_does_not_flicker() {
         };
         let levels: Vec<f64> = (0..shifts.len()).map(level).collect();
         for pair in levels.windows(2) {
-            assert!((pair[1] - pair[0]).abs() < 0.02, "{name}: {levels:?}");
+            assert!((pair[1] - pair[0]).abs() < 0.03, "{name}: {levels:?}");
         }
     }
 }
