@@ -77,42 +77,42 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     stretching(board, &samples, layers, frames)
 }
 
+/// A row about scenes of the same kind: how torn their surfaces are.
+fn torn(
+    row: &str,
+    cell: f64,
+    scenes: Vec<Points>,
+    tear: impl Fn(&Mesh) -> Tear + Send + Sync + 'static,
+) -> Line {
+    Line {
+        rows: vec![format!("{row}, {}", cell_name(Some(cell)))],
+        cell: Some(cell),
+        lost: Lost::Scene,
+        scenes: scenes.into_iter().map(Scene::from).collect(),
+        read: Box::new(move |meshes| Ok(vec![text(meshes.iter().map(&tear).collect())])),
+    }
+}
+
+fn stretched(layers: i32, stretch: f64) -> String {
+    format!("{} stretched {stretch:.1} times", of(layers))
+}
+
 /// Prints the table of sheets with a constant stretch, and of shells.
 fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let kinds = SHEETS
         .iter()
         .flat_map(|&(layers, stretches)| stretches.iter().map(move |&by| (layers, by)));
     let sheets = in_cells(kinds, cells).map(|((layers, stretch), cell)| {
+        let scenes = seeds.clone().map(|seed| sheet(layers, stretch, seed)).collect();
         let volume = f64::from(WIDTH * WIDTH * layers);
-        Line {
-            rows: vec![format!(
-                "{} stretched {stretch:.1} times, {}",
-                of(layers),
-                cell_name(Some(cell))
-            )],
-            cell: Some(cell),
-            lost: Lost::Scene,
-            scenes: seeds.clone().map(|seed| sheet(layers, stretch, seed).into()).collect(),
-            read: Box::new(move |meshes| {
-                Ok(vec![text(meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect())])
-            }),
-        }
+        let tear = move |mesh: &Mesh| Tear::of_sheet(mesh, volume);
+        torn(&stretched(layers, stretch), cell, scenes, tear)
     });
     let shells = cells.iter().map(|&cell| {
         let scenes: Vec<Points> = seeds.clone().map(shell).collect();
         let volume = scenes[0].len() as f64;
-        Line {
-            rows: vec![format!(
-                "shell of radius {RADIUS}, particles {APART} apart, {}",
-                cell_name(Some(cell))
-            )],
-            cell: Some(cell),
-            lost: Lost::Scene,
-            scenes: scenes.into_iter().map(Scene::from).collect(),
-            read: Box::new(move |meshes| {
-                Ok(vec![text(meshes.iter().map(|mesh| Tear::of_shell(mesh, volume)).collect())])
-            }),
-        }
+        let row = format!("shell of radius {RADIUS}, particles {APART} apart");
+        torn(&row, cell, scenes, move |mesh| Tear::of_shell(mesh, volume))
     });
     board.table(
         &format!(
@@ -127,22 +127,11 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
 /// Prints the table of crowns that stand on water.
 fn standing(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let kinds = [1, 2].into_iter().flat_map(|layers| CROWNS.map(|stretch| (layers, stretch)));
-    let lines = in_cells(kinds, cells).map(|((layers, stretch), cell)| {
+    let crowns = in_cells(kinds, cells).map(|((layers, stretch), cell)| {
         let scenes: Vec<Points> = seeds.clone().map(|seed| crown(layers, stretch, seed)).collect();
         let volume = scenes[0].len() as f64;
-        Line {
-            rows: vec![format!(
-                "{} stretched {stretch:.1} times, {}",
-                of(layers),
-                cell_name(Some(cell))
-            )],
-            cell: Some(cell),
-            lost: Lost::Scene,
-            scenes: scenes.into_iter().map(Scene::from).collect(),
-            read: Box::new(move |meshes| {
-                Ok(vec![text(meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect())])
-            }),
-        }
+        let tear = move |mesh: &Mesh| Tear::of_sheet(mesh, volume);
+        torn(&stretched(layers, stretch), cell, scenes, tear)
     });
     board.table(
         &format!(
@@ -150,7 +139,7 @@ fn standing(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
              holes / volume over the particles', mean of {}",
             seeds.len()
         ),
-        lines.collect(),
+        crowns.collect(),
     )
 }
 
