@@ -8,7 +8,7 @@ use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
 use crate::field::distance::{Bulk, Depths, DistanceFilters, Drops, InsideBricks, StandsOut};
 use crate::field::indicator::IndicatorKind;
-use crate::field::sheets::{Loose, SheetFields, Sheets};
+use crate::field::sheets::{Loose, SheetFields, Sheets, WEIGHT_BITS};
 use crate::grid::units::{Isovalue, Sigma};
 use crate::grid::{BLOCK, CellBox};
 
@@ -302,7 +302,7 @@ pub fn sheets<F: Fields>(
     let mut density = fields.blur(clouds, &by.around)?;
     if let Some(weights) = weights {
         let weights = fields.blur(weights, &by.around_weights)?;
-        density = fields.divided(density, weights)?;
+        density = fields.divided(density, weights, WEIGHT_BITS)?;
     }
     let Some(SheetFields { shares, certainty }) = fields.sheets(by, density, *drops_level)? else {
         return Ok(None);
@@ -417,11 +417,12 @@ pub trait Fields {
         scale: u32,
     ) -> Result<Loose<Self::Field>, Self::Error>;
 
-    /// A density, divided by weights in 32768ths.
+    /// A field divided by another, in units of 1 / 2^`bits`.
     fn divided(
         &mut self,
-        density: Self::Field,
-        weights: Self::Field,
+        field: Self::Field,
+        by: Self::Field,
+        bits: u32,
     ) -> Result<Self::Field, Self::Error>;
 
     /// Sheets in cells 2^`level` times as wide around the requested cells, from the smoothed

@@ -280,6 +280,11 @@ impl BlockField {
     }
 }
 
+/// The full cells that lie in `cells`.
+fn within(full: &[IVec3], cells: CellBox) -> Rc<[IVec3]> {
+    full.iter().copied().filter(|&cell| cells.contains(cell)).collect()
+}
+
 /// A signal to stop early, because there is no surface.
 pub(super) struct StopSignal;
 
@@ -481,7 +486,7 @@ impl Fields for Blocks<'_> {
         };
         // Quotients are nonzero only where clouds are.
         let cells = block.cells().grown(-around.reach(), -around.reach());
-        let inner: Rc<[_]> = full.iter().copied().filter(|&cell| cells.contains(cell)).collect();
+        let inner = within(&full, cells);
         let part =
             inner.iter().fold(CellBox::EMPTY, |all, &cell| all.union(&CellBox::cube(cell, 1)));
         let mut quotients = Block::zero(cells);
@@ -506,10 +511,7 @@ impl Fields for Blocks<'_> {
         let Loose { clouds: block, weights } =
             loose(&clouds.block, Rc::unwrap_or_clone(smooth.block), scale);
         let cells = block.cells();
-        let inner = |full: Rc<[IVec3]>| -> Rc<[_]> {
-            full.iter().copied().filter(|&cell| cells.contains(cell)).collect()
-        };
-        let full = clouds.full.map(inner);
+        let full = clouds.full.map(|full| within(&full, cells));
         Ok(Loose {
             clouds: BlockField { full, ..BlockField::new(block, level) },
             weights: weights.map(|weights| BlockField::new(weights, level)),
@@ -518,11 +520,11 @@ impl Fields for Blocks<'_> {
 
     fn divided(
         &mut self,
-        density: BlockField,
-        weights: BlockField,
+        field: BlockField,
+        by: BlockField,
+        bits: u32,
     ) -> Result<BlockField, StopSignal> {
-        let block = quotient(&density.block, &weights.block, 15);
-        Ok(BlockField::new(block, density.level))
+        Ok(BlockField::new(quotient(&field.block, &by.block, bits), field.level))
     }
 
     fn sheets(

@@ -291,14 +291,22 @@ impl Fields for PaddedFields<'_> {
         around: &Weights,
         bits: u32,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = clouds.of;
         let around = self.blur(Rc::clone(&clouds), around)?;
+        self.divided(clouds, around, bits)
+    }
+
+    fn divided(
+        &mut self,
+        field: Rc<PaddedSamples>,
+        by: Rc<PaddedSamples>,
+        bits: u32,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
+        let of = field.of;
         self.stage("drops", 2, of);
-        let views = [&clouds.samples, &around.samples];
+        let views = [&field.samples, &by.samples];
         quotient(self.commands, &self.pipelines.distance, &self.grids[of].blocks, bits, views)?;
-        let margin = around.margin;
-        let samples = clouds.samples.clone();
-        self.give(around);
+        let (samples, margin) = (field.samples.clone(), by.margin);
+        self.give(by);
         Ok(Rc::new(PaddedSamples { samples, margin, of }))
     }
 
@@ -318,19 +326,6 @@ impl Fields for PaddedFields<'_> {
         loose(self.commands, &self.pipelines.loose, &self.grids[of].blocks, scale, views)?;
         let clouds = PaddedSamples { samples: clouds.samples.clone(), margin: smooth.margin, of };
         Ok(Loose { clouds: Rc::new(clouds), weights: Some(smooth) })
-    }
-
-    fn divided(
-        &mut self,
-        density: Rc<PaddedSamples>,
-        weights: Rc<PaddedSamples>,
-    ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = density.of;
-        self.stage("sheets", 3, of);
-        let views = [&density.samples, &weights.samples];
-        quotient(self.commands, &self.pipelines.distance, &self.grids[of].blocks, 15, views)?;
-        self.give(weights);
-        Ok(density)
     }
 
     fn sheets(

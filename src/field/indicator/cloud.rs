@@ -108,15 +108,39 @@ fn raised(part: u32, gain: u32) -> u32 {
 /// The number of cells of a bin along an axis, with the cells below and above.
 const ROW_AROUND: usize = ROW + 2;
 
+/// For each axis, the gain of each cell around a bin, from the one below the bin to the one above.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Gains([[u32; ROW_AROUND]; 3]);
+
+impl Gains {
+    /// The gains around a bin; `None` if all of them are 1.
+    fn of(walls: &CloudWalls, bin: IVec3) -> Option<Self> {
+        let first = bin * BIN - 1;
+        let gains = [0, 1, 2].map(|axis: usize| {
+            let mut gains = [NO_GAIN; ROW_AROUND];
+            gains.iter_mut().zip(first[axis]..).for_each(|(to, cell)| *to = walls.gain(axis, cell));
+            gains
+        });
+        (gains != [[NO_GAIN; ROW_AROUND]; 3]).then_some(Self(gains))
+    }
+
+    /// The part of a cloud that a cell gets, multiplied by the cell's gain. The cell is number `at`
+    /// of the three cells along each axis that the cloud around `own` reaches.
+    #[inline(always)]
+    fn raised(&self, part: u32, own: [usize; 3], at: [usize; 3]) -> u32 {
+        let [x, y, z] = [0, 1, 2].map(|axis: usize| self.0[axis][own[axis] + at[axis]]);
+        raised(part, both(both(z, y), x))
+    }
+}
+
 /// The cells at which clouds end along each axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct CloudLimits {
     /// For each axis, the lowest and the highest cell within the walls, relative to the bin. These
     /// cells may lie outside the bin.
     ends: [[i32; 2]; 3],
-    /// For each axis, the gain of each cell, from the one below the bin to the one above; `None` if
-    /// all of them are 1.
-    gains: Option<[[u32; ROW_AROUND]; 3]>,
+    /// The gains of the cells; `None` if all of them are 1.
+    gains: Option<Gains>,
 }
 
 impl CloudLimits {
@@ -127,15 +151,8 @@ impl CloudLimits {
         if !(lo.iter().any(touched) || hi.iter().any(touched)) {
             return None;
         }
-        let first = bin * BIN - 1;
-        let gains = [0, 1, 2].map(|axis: usize| {
-            let mut gains = [NO_GAIN; ROW_AROUND];
-            gains.iter_mut().zip(first[axis]..).for_each(|(to, cell)| *to = walls.gain(axis, cell));
-            gains
-        });
-        let is_even = gains == [[NO_GAIN; ROW_AROUND]; 3];
-        let gains = (!is_even).then_some(gains);
-        Some(Self { ends: [0, 1, 2].map(|axis| [lo[axis], hi[axis]]), gains })
+        let ends = [0, 1, 2].map(|axis| [lo[axis], hi[axis]]);
+        Some(Self { ends, gains: Gains::of(walls, bin) })
     }
 
     /// The shares of a cloud around a cell. A share beyond a wall is added to the share of the last
@@ -202,13 +219,13 @@ impl Clouds {
         particles: &[(u64, u32)],
     ) -> Option<(PageInfo, PageSamples)> {
         let walls = self.walls.and_then(|walls| CloudLimits::of(&walls, bin));
-        let gains = walls.and_then(|walls| walls.gains);
+        let gains = walls.as_ref().and_then(|walls| walls.gains.as_ref());
         let edge = self.shape.edge() as usize;
         for &(record, amount) in particles {
             let (cell, offset) = unpack(record);
             let [x, y, z] = [0, 1, 2].map(|axis| {
                 let shares = shares(offset[axis]);
-                walls.map_or(shares, |walls| walls.fold(axis, cell[axis], shares))
+                walls.as_ref().map_or(shares, |walls| walls.fold(axis, cell[axis], shares))
             });
             let first: usize = (0..3).map(|axis| self.firsts[axis][cell[axis]]).sum();
             for (plane, z) in z.into_iter().enumerate() {
@@ -217,13 +234,8 @@ impl Clouds {
                     let to = &mut room[first + edge * (edge * plane + row)..][..3];
                     for (column, (to, x)) in to.iter_mut().zip(x).enumerate() {
                         let part = wide_part_of(in_row, x).min(u16::MAX.into());
-                        let part = match &gains {
-                            Some([gx, gy, gz]) => {
-                                let of_row = both(gz[cell[2] + plane], gy[cell[1] + row]);
-                                raised(part, both(of_row, gx[cell[0] + column]))
-                            }
-                            None => part,
-                        };
+                        let at = [column, row, plane];
+                        let part = gains.map_or(part, |gains| gains.raised(part, cell, at));
                         *to = to.saturating_add(part.min(u16::MAX.into()) as u16);
                     }
                 }
@@ -246,7 +258,7 @@ impl Clouds {
             BrickSide::Sixteen => add_clouds::<{ edge(BrickSide::Sixteen) }>,
         };
         let packed = particles.packed();
-        add(self, room, packed, walls);
+        add(self, room, packed, walls.as_ref());
         let cells = packed.iter().map(|&particle| unpack(particle).0);
         self.take_page(room, bin, cells).expect("a bin holds particles")
     }
@@ -289,7 +301,7 @@ fn add_clouds<const EDGE: usize>(
     of: &Clouds,
     samples: &mut [u16],
     packed: &[u64],
-    walls: Option<CloudLimits>,
+    walls: Option<&CloudLimits>,
 ) {
     let Clouds { amount, firsts, .. } = of;
     let amount = u32::from(*amount);
@@ -318,8 +330,8 @@ fn add_clouds<const EDGE: usize>(
                 }
             }
         }
-        if let Some(gains) = walls.and_then(|walls| walls.gains) {
-            raise(&mut rows, &gains, &batch);
+        if let Some(gains) = walls.and_then(|walls| walls.gains.as_ref()) {
+            raise(&mut rows, gains, &batch);
         }
         for (i, &particle) in packed.iter().enumerate() {
             let ([x, y, z], _) = unpack(particle);
@@ -338,18 +350,13 @@ fn add_clouds<const EDGE: usize>(
 }
 
 /// Multiplies the parts of a batch of clouds by the gains of their cells.
-fn raise(
-    rows: &mut [[[[u16; 4]; BATCH]; 3]; 3],
-    [x, y, z]: &[[u32; ROW_AROUND]; 3],
-    batch: &[u64; BATCH],
-) {
-    for (plane, rows) in rows.iter_mut().enumerate() {
-        for (row, rows) in rows.iter_mut().enumerate() {
+fn raise(rows: &mut [[[[u16; 4]; BATCH]; 3]; 3], gains: &Gains, batch: &[u64; BATCH]) {
+    for (z, rows) in rows.iter_mut().enumerate() {
+        for (y, rows) in rows.iter_mut().enumerate() {
             for (parts, &particle) in rows.iter_mut().zip(batch) {
                 let (cell, _) = unpack(particle);
-                let of_row = both(z[cell[2] + plane], y[cell[1] + row]);
-                for (part, &gain) in parts.iter_mut().zip(&x[cell[0]..cell[0] + 3]) {
-                    let more = raised(u32::from(*part), both(of_row, gain));
+                for (x, part) in parts[..3].iter_mut().enumerate() {
+                    let more = gains.raised(u32::from(*part), cell, [x, y, z]);
                     *part = more.min(u16::MAX.into()) as u16;
                 }
             }
@@ -389,11 +396,7 @@ mod tests {
         let cells = CellBox { lo: IVec3::new(2, 0, -40), hi: IVec3::new(40, 9, 40) };
         let walls = CloudWalls { cells, gains: [[8192, 2731, NO_GAIN], [3000, 5000, 6000]] };
         let gains = CloudLimits::of(&walls, IVec3::ZERO).unwrap().gains.unwrap();
-        // The first gain along each axis is that of the cell below the bin.
-        let of_cell = |[x, y, z]: [usize; 3]| {
-            let gain = both(both(gains[2][z + 1], gains[1][y + 1]), gains[0][x + 1]);
-            raised(1000, gain)
-        };
+        let of_cell = |cell| gains.raised(1000, cell, [1; 3]);
         assert_eq!(of_cell([5, 5, 5]), 1000);
         assert_eq!(of_cell([2, 5, 5]), 2000);
         assert_eq!(of_cell([5, 0, 5]), 667);
@@ -401,7 +404,7 @@ mod tests {
         assert_eq!(of_cell([2, 0, 5]), 1333);
         // The cells of a neighbouring bin count too, because clouds reach into them.
         let above = CloudWalls { cells: CellBox { hi: IVec3::new(17, 90, 40), ..cells }, ..walls };
-        assert_eq!(CloudLimits::of(&above, IVec3::ZERO).unwrap().gains.unwrap()[0][17], 3000);
+        assert_eq!(CloudLimits::of(&above, IVec3::ZERO).unwrap().gains.unwrap().0[0][17], 3000);
         assert_eq!(CloudLimits::of(&walls, IVec3::new(1, 40, 0)), None, "a bin in the middle");
     }
 

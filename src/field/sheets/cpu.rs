@@ -10,7 +10,7 @@ use crate::grid::CellBox;
 use super::logarithm::{exp2, log2};
 use super::{
     BEYOND, BEYOND_IF_FLAT, BITS, BY_RIM, FLAT, IMPURE, IMPURE_IF_FLAT, IN_BULK, LEAST_WEIGHT,
-    LOG2_OF_E, Loose, ONE, ROUND, SheetConstants, SheetFields, Sheets, THICK, THIN,
+    LOG2_OF_E, Loose, ONE, ROUND, SheetConstants, SheetFields, Sheets, THICK, THIN, WEIGHT_BITS,
 };
 
 /// Number of cells that are processed at a time.
@@ -54,7 +54,7 @@ fn weigh(clouds: &mut [u16], smooth: &mut [u16], scale: u32) {
         let density = ((u32::from(*smooth) * scale) >> 14).min(u16::MAX.into()) as u16;
         let weight = 4096 - IN_BULK.of(density);
         *cloud = ((u32::from(*cloud) * weight) >> 12) as u16;
-        *smooth = (weight.max(LEAST_WEIGHT) << 3) as u16;
+        *smooth = (weight.max(LEAST_WEIGHT) << (WEIGHT_BITS - BITS)) as u16;
     }
 }
 

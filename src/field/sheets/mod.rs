@@ -110,6 +110,8 @@ const BULK_CUT: f64 = 1.5;
 /// The range of this Gaussian's density in which the weight of clouds falls to 0, in 32768ths of
 /// the plateau.
 pub const IN_BULK: Ramp = Ramp::new(in_plateaus(0.34), in_plateaus(0.06));
+/// Number of fraction bits of the weights by which a density is divided.
+pub const WEIGHT_BITS: u32 = 15;
 /// The least weight by which a density is divided, in 4096ths.
 pub const LEAST_WEIGHT: u32 = 128;
 /// The range of the squared distance of B from a projection in which drops replace sheets.

@@ -9,7 +9,7 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::SheetConstants;
 
-/// Reduces clouds in the bulk, in place, and replaces `smooth` with the weights of the clouds, as in
+/// Reduces clouds in the bulk, in place, and replaces `smooth` with the weights of the clouds: see
 /// step 1 of [`sheets`](super). `scale` converts `smooth` to fractions of the plateau.
 ///
 /// # Errors
