@@ -1,12 +1,12 @@
 // One axis of a separable operation, which a shader defines by its functions `weight_of` and
-// `with_tap`. Taps beyond a wall read the outermost cell before it. A thread computes a run of 4
-// pairs (RUN) along the axis, so that it reads each sample once for all of them.
+// `with_tap`. Samples are mirrored at walls. A thread computes a run of 4 pairs (RUN) along the
+// axis, so that it reads each sample once for all of them.
 
 struct AxisPush {
-    // The lowest cell within the walls, and the highest.
-    walls_lo: vec3<i32>,
+    // The planes of the mirrors, in halves of a cell.
+    mirror_lo: vec3<i32>,
     axis: u32,
-    walls_hi: vec3<i32>,
+    mirror_hi: vec3<i32>,
     reach: u32,
     // The number of cells at each face of the block that are not computed.
     margin: vec3<u32>,
@@ -48,8 +48,11 @@ fn with_next(run: Run, k: i32, samples: vec2<u32>) -> Run {
 fn filter_run(number_of_block: u32, number: u32) {
     let block = blocks[number_of_block];
     // A pair is computed if either of its cells is wanted.
-    var lo = max(vec3<i32>(push.margin), push.walls_lo - block.lo);
-    var hi = min(vec3<i32>(block.size) - vec3<i32>(push.margin), push.walls_hi + 1 - block.lo);
+    var lo = max(vec3<i32>(push.margin), (push.mirror_lo >> vec3(1u)) - block.lo);
+    var hi = min(
+        vec3<i32>(block.size) - vec3<i32>(push.margin),
+        ((push.mirror_hi + 1) >> vec3(1u)) - block.lo,
+    );
     lo.x &= ~1;
     hi.x = (hi.x + 1) & ~1;
     var runs = vec3<u32>(max(hi - lo, vec3(0)));
@@ -63,18 +66,18 @@ fn filter_run(number_of_block: u32, number: u32) {
     at[push.axis] *= RUN;
     at.x *= 2u;
     at += vec3<u32>(lo);
-    // The walls along this axis, relative to the block. Cells that are not wanted can have taps
+    // The mirrors along this axis, relative to the block. Cells that are not wanted can have taps
     // beyond the block.
-    let end = i32(block.size[push.axis]) - 1;
-    let first = max(push.walls_lo[push.axis] - block.lo[push.axis], 0);
-    let last = min(push.walls_hi[push.axis] - block.lo[push.axis], end);
+    let last = i32(block.size[push.axis]) - 1;
+    let first = 2 * block.lo[push.axis];
+    let mirrors = vec2(push.mirror_lo[push.axis], push.mirror_hi[push.axis]) - first;
     let reach = i32(push.reach);
     let centre = i32(at[push.axis]);
     var run = Run(vec4(first_sum()), vec4(first_sum()), vec4(0u), vec4(0u));
     if push.axis == 0u {
         let begin = word_of(block, vec3(0u, at.y, at.z));
         for (var k = -reach; k < reach + 2 * i32(RUN); k++) {
-            let x = u32(clamp(centre + k, first, last));
+            let x = u32(clamp(source_of(centre + k, mirrors.x, mirrors.y), 0, last));
             let sample = half_of(samples[begin + x / 2u], x);
             run = with_next(run, k, vec2(sample));
         }
@@ -90,7 +93,8 @@ fn filter_run(number_of_block: u32, number: u32) {
         let begin = word_of(block, origin);
         let step = select(block.size.x / 2u * block.size.y, block.size.x / 2u, push.axis == 1u);
         for (var k = -reach; k < reach + i32(RUN); k++) {
-            let word = samples[begin + step * u32(clamp(centre + k, first, last))];
+            let source = source_of(centre + k, mirrors.x, mirrors.y);
+            let word = samples[begin + step * u32(clamp(source, 0, last))];
             run = with_next(run, k, vec2(word & 0xffffu, word >> 16u));
         }
         let words = finished(run.a) | finished(run.b) << vec4(16u);

@@ -1,4 +1,4 @@
-//! with block axis
+//! with block mirror axis
 // One axis of a separable filter: (sum over taps of weight * sample + half) >> shift, at most 65535.
 
 // The weight of the centre, then of the cells 1, 2, ... away on either side.

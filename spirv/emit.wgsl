@@ -1,13 +1,13 @@
-//! with block tile slot tally
+//! with block mirror tile slot tally
 // Writes the tiles of a batch and the field at both ends of every crossed dual edge: one work group
 // per tile, one thread per cell.
 
 struct EmitPush {
-    // The lowest cell within the walls, and the highest.
-    walls_lo: vec3<i32>,
+    // The planes of the mirrors, in halves of a cell.
+    mirror_lo: vec3<i32>,
     // Blocks of the batch.
     blocks: u32,
-    walls_hi: vec3<i32>,
+    mirror_hi: vec3<i32>,
     // Whether to write the decrease of the field along each axis too, for normals.
     normals: u32,
 }
@@ -28,9 +28,8 @@ var<immediate> push: EmitPush;
 // upper end of its edge.
 @group(0) @binding(7) var<storage, read_write> falls: array<i32>;
 
-// Beyond a wall the field repeats the edge cell.
 fn sample(block: Block, cell: vec3<i32>) -> u32 {
-    let at = vec3<u32>(clamp(cell, push.walls_lo, push.walls_hi) - block.lo);
+    let at = vec3<u32>(source_cell(cell, push.mirror_lo, push.mirror_hi) - block.lo);
     return half_of(field[word_of(block, at)], at.x);
 }
 

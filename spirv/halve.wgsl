@@ -1,12 +1,12 @@
-//! with block
+//! with block mirror
 // Makes pages of cells twice as wide from blocks of finer cells. One thread per word of a page.
 
 struct HalvePush {
-    // The lowest finer cell within the walls, and the highest.
-    walls_lo: vec3<i32>,
+    // The planes at which the finer cells are mirrored, in halves of a finer cell.
+    mirror_lo: vec3<i32>,
     // The factor that multiplies the mean of the finer cells, in steps of 2^-16.
     factor: u32,
-    walls_hi: vec3<i32>,
+    mirror_hi: vec3<i32>,
 }
 
 var<immediate> push: HalvePush;
@@ -22,9 +22,9 @@ fn weight(i: i32) -> u32 {
 }
 
 fn wide_sample(block: Block, wide: vec3<i32>) -> u32 {
-    let lowest = push.walls_lo >> vec3(1u);
-    let highest = push.walls_hi >> vec3(1u);
-    if any(wide < lowest) || any(wide > highest) {
+    let lowest = push.mirror_lo >> vec3(2u);
+    let end = (push.mirror_hi + 3) >> vec3(2u);
+    if any(wide < lowest) || any(wide >= end) {
         return 0u;
     }
     var sum = 0u;
@@ -32,8 +32,8 @@ fn wide_sample(block: Block, wide: vec3<i32>) -> u32 {
         for (var y = 0; y < 4; y++) {
             var row = 0u;
             for (var x = 0; x < 4; x++) {
-                let cell = clamp(2 * wide - 1 + vec3(x, y, z), push.walls_lo, push.walls_hi);
-                let at = vec3<u32>(cell - block.lo);
+                let cell = 2 * wide - 1 + vec3(x, y, z);
+                let at = vec3<u32>(source_cell(cell, push.mirror_lo, push.mirror_hi) - block.lo);
                 row += weight(x) * half_of(field[word_of(block, at)], at.x);
             }
             sum += weight(y) * weight(z) * row;

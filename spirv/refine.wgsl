@@ -1,14 +1,13 @@
-//! with block
+//! with block mirror
 // Interpolates a field of wide cells at the middles of cells. The samples of wide cells are the
-// control points of a quadratic B-spline. Cells beyond a wall repeat the outermost cell before it.
+// control points of a quadratic B-spline, and are mirrored at walls.
 
 struct RefinePush {
-    // The lowest cell within the walls.
-    walls_lo: vec3<i32>,
+    // The planes at which wide cells are mirrored, in halves of a wide cell.
+    mirror_lo: vec3<i32>,
     // A wide cell is 2^level cells along an axis.
     level: u32,
-    // The highest cell within the walls.
-    walls_hi: vec3<i32>,
+    mirror_hi: vec3<i32>,
 }
 
 var<immediate> push: RefinePush;
@@ -40,12 +39,11 @@ fn weights_of(cell: i32) -> vec3<u32> {
     return vec3(below, 2u * edge * edge - below - above, above);
 }
 
-// The index of a wide cell along an axis of a block. Cells beyond a wall are replaced by the
-// outermost cell before the wall. Only cells whose results are not used lie beyond the block; they
-// are replaced by the block's outermost cell.
+// The index of a wide cell along an axis of a block. Only cells whose results are not used lie
+// beyond the block; they are replaced by the block's outermost cell.
 fn wide_place(block: Block, axis: u32, cell: i32) -> u32 {
-    let inside = clamp(cell, push.walls_lo[axis] >> push.level, push.walls_hi[axis] >> push.level);
-    return u32(clamp(inside - block.lo[axis], 0, i32(block.size[axis]) - 1));
+    let source = source_of(cell, push.mirror_lo[axis], push.mirror_hi[axis]);
+    return u32(clamp(source - block.lo[axis], 0, i32(block.size[axis]) - 1));
 }
 
 // Three wide cells along x, from the words of their row.
@@ -68,23 +66,21 @@ fn refine(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let around = wide_blocks[within[id.y]];
     let cell = block.lo + vec3<i32>(at);
-    let x = clamp(vec2(cell.x, cell.x + 1), vec2(push.walls_lo.x), vec2(push.walls_hi.x));
-    let y = clamp(cell.y, push.walls_lo.y, push.walls_hi.y);
-    let x_weights = array(weights_of(x.x), weights_of(x.y));
-    let y_weights = weights_of(y);
+    let x_weights = array(weights_of(cell.x), weights_of(cell.x + 1));
+    let y_weights = weights_of(cell.y);
     var columns: array<vec3<u32>, 2>;
     for (var i = 0; i < 3; i++) {
-        columns[0][i] = wide_place(around, 0u, (x.x >> push.level) + i - 1);
-        columns[1][i] = wide_place(around, 0u, (x.y >> push.level) + i - 1);
+        columns[0][i] = wide_place(around, 0u, (cell.x >> push.level) + i - 1);
+        columns[1][i] = wide_place(around, 0u, ((cell.x + 1) >> push.level) + i - 1);
     }
     let same = all(columns[0] == columns[1]);
     var rows: vec3<u32>;
     for (var i = 0; i < 3; i++) {
-        rows[i] = around.size.x / 2u * wide_place(around, 1u, (y >> push.level) + i - 1);
+        rows[i] = around.size.x / 2u * wide_place(around, 1u, (cell.y >> push.level) + i - 1);
     }
     // Both cells of the pair in each plane of wide cells that the run needs.
-    let lowest = (clamp(cell.z, push.walls_lo.z, push.walls_hi.z) >> push.level) - 1;
-    let highest = clamp(cell.z + i32(RUN) - 1, push.walls_lo.z, push.walls_hi.z) >> push.level;
+    let lowest = (cell.z >> push.level) - 1;
+    let highest = (cell.z + i32(RUN) - 1) >> push.level;
     var planes: array<vec2<u32>, PLANES>;
     for (var k = 0u; i32(k) <= highest + 1 - lowest; k++) {
         let plane = around.size.x / 2u * around.size.y * wide_place(around, 2u, lowest + i32(k));
@@ -103,7 +99,7 @@ fn refine(@builtin(global_invocation_id) id: vec3<u32>) {
         planes[k] = vec2(mean(y_weights, first), mean(y_weights, second));
     }
     for (var i = 0u; i < RUN && at.z < block.size.z; i++) {
-        let z = clamp(block.lo.z + i32(at.z), push.walls_lo.z, push.walls_hi.z);
+        let z = block.lo.z + i32(at.z);
         let k = u32((z >> push.level) - 1 - lowest);
         let weights = weights_of(z);
         let a = mean(weights, vec3(planes[k].x, planes[k + 1u].x, planes[k + 2u].x));

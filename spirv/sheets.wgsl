@@ -1,16 +1,15 @@
-//! with block ramp
-// Computes the shares and the certainty of sheets and filaments from the smoothed density. Cells
-// beyond a wall repeat the outermost cell before it. The formulas are in src/field/sheets/mod.rs;
-// numbers have SHEET_BITS fraction bits, and logarithms are binary.
+//! with block mirror ramp
+// Computes the shares and the certainty of sheets and filaments from the smoothed density, which is
+// mirrored at walls. The formulas are in src/field/sheets/mod.rs; numbers have SHEET_BITS fraction
+// bits, and logarithms are binary.
 
 struct SheetsPush {
-    // The lowest cell within the walls.
-    walls_lo: vec3<i32>,
+    // The planes of the mirrors, in halves of a cell.
+    mirror_lo: vec3<i32>,
     // The distance, in cells, between a cell and the samples from which its differences are
     // computed.
     step: i32,
-    // The highest cell within the walls.
-    walls_hi: vec3<i32>,
+    mirror_hi: vec3<i32>,
     slope: i32,
     bend: i32,
     plateau: i32,
@@ -92,8 +91,8 @@ struct mat3x3i {
 
 // The logarithm of the density at a cell, relative to the block's lowest cell.
 fn at(block: Block, cell: vec3<i32>) -> i32 {
-    let inside = clamp(cell, push.walls_lo - block.lo, push.walls_hi - block.lo);
-    let known = vec3<u32>(clamp(inside, vec3(0), vec3<i32>(block.size) - 1));
+    let source = source_cell(cell + block.lo, push.mirror_lo, push.mirror_hi) - block.lo;
+    let known = vec3<u32>(clamp(source, vec3(0), vec3<i32>(block.size) - 1));
     return log_two(half_of(density[word_of(block, known)], known.x));
 }
 

@@ -1,4 +1,4 @@
-//! with block axis
+//! with block mirror axis
 // One axis of a dilation: the greatest of the taps within reach.
 
 fn weight_of(k: i32) -> u32 {

@@ -294,9 +294,9 @@ pub const VERTICES: Shader = Shader {
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct AxisPush {
-    pub walls_lo: [i32; 3],
+    pub mirror_lo: [i32; 3],
     pub axis: u32,
-    pub walls_hi: [i32; 3],
+    pub mirror_hi: [i32; 3],
     pub reach: u32,
     pub margin: [u32; 3],
     pub shift: u32,
@@ -347,9 +347,9 @@ pub struct DepthsOfPush {
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct EmitPush {
-    pub walls_lo: [i32; 3],
+    pub mirror_lo: [i32; 3],
     pub blocks: u32,
-    pub walls_hi: [i32; 3],
+    pub mirror_hi: [i32; 3],
     pub normals: u32,
 }
 
@@ -394,9 +394,9 @@ pub struct GreaterPush {
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct HalvePush {
-    pub walls_lo: [i32; 3],
+    pub mirror_lo: [i32; 3],
     pub factor: u32,
-    pub walls_hi: [i32; 3],
+    pub mirror_hi: [i32; 3],
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
@@ -479,9 +479,9 @@ pub struct QuotientPush {
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct RefinePush {
-    pub walls_lo: [i32; 3],
+    pub mirror_lo: [i32; 3],
     pub level: u32,
-    pub walls_hi: [i32; 3],
+    pub mirror_hi: [i32; 3],
 }
 
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
@@ -493,9 +493,9 @@ pub struct SettlePush {
 #[derive(Debug, Clone, Copy, Default, Pod, Zeroable)]
 #[repr(C)]
 pub struct SheetsPush {
-    pub walls_lo: [i32; 3],
+    pub mirror_lo: [i32; 3],
     pub step: i32,
-    pub walls_hi: [i32; 3],
+    pub mirror_hi: [i32; 3],
     pub slope: i32,
     pub bend: i32,
     pub plateau: i32,

@@ -22,7 +22,7 @@ use crate::brick::{Bins, DifField, Pages};
 use crate::field::indicator::{PageRule, SampledDif};
 use crate::field::recipe::{Filters, Recipe};
 use crate::grid::units::MemoryBudget;
-use crate::grid::{BLOCK, CellBox, PeriodicMesh};
+use crate::grid::{BLOCK, CellBox, Mirror, PeriodicMesh};
 use crate::surface::dual_mc::{Normals, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::surface::solid::Solid;
@@ -170,9 +170,9 @@ impl Surfaces<'_> {
         }
     }
 
-    /// The cells within the walls. Beyond the walls, the field repeats its edge cells.
-    fn walls(&self) -> Option<CellBox> {
-        self.sampled.facts.walls()
+    /// The mirror at the walls of the field.
+    fn mirror(&self) -> Option<Mirror> {
+        self.sampled.facts.mirror()
     }
 
     /// The cells of the mesh: within walls and, for a cut mesh, between the periodic faces.

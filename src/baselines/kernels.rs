@@ -9,7 +9,7 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::brick::{Bins, Block};
-use crate::grid::{BIN, BLOCK, CellBox, block_parts};
+use crate::grid::{BIN, BLOCK, CellBox, Mirror, block_parts};
 use crate::surface::dual_mc::{Normals, ZeroLevel, block_mesh};
 use crate::surface::mesh::BlockMesh;
 use crate::system::scratch::Lists;
@@ -181,7 +181,7 @@ impl<S: Scheme> KernelField for Kernels<S> {
         let mut field =
             self.field(with.cells(region), region.lo.div_euclid(IVec3::splat(BLOCK)))?;
         if let Some(walls) = walls {
-            field.repeat_edges(walls);
+            field.mirror(Mirror::new(walls));
         }
         Ok(block_mesh(&field, region, ZeroLevel, with, walls))
     }

@@ -3,7 +3,7 @@
 use glam::IVec3;
 use multiversion::multiversion;
 
-use crate::grid::CellBox;
+use crate::grid::{CellBox, Mirror};
 
 use super::samples::SamplePlace;
 
@@ -349,26 +349,38 @@ impl<T: Copy + Default> Block<T> {
         self.samples.truncate(volume);
     }
 
-    /// Copies the samples of the outermost cells of `domain` into all cells of the block beyond the
-    /// walls of `domain` (METHOD section 4).
-    ///
-    /// # Panics
-    /// If, for any of the block's cells, the nearest cell of `domain` is not in the block.
-    pub fn repeat_edges(&mut self, domain: CellBox) {
-        if domain.covers(&self.cells) {
+    /// Replaces the samples beyond the planes of `mirror` with their mirror images. Beyond the reach
+    /// of the filters, where an image is not in the block, an outermost sample of the block is used
+    /// instead.
+    pub fn mirror(&mut self, mirror: Mirror) {
+        let (cells, inside) = (self.cells, mirror.cells());
+        let known = inside.intersection(&cells);
+        if inside.covers(&cells) || known.is_empty() {
             return;
         }
-        let cells = self.cells;
-        for z in cells.lo.z..cells.hi.z {
-            for y in cells.lo.y..cells.hi.y {
-                for x in cells.lo.x..cells.hi.x {
-                    let cell = IVec3::new(x, y, z);
-                    let inside = cell.clamp(domain.lo, domain.hi - 1);
-                    if inside != cell {
-                        let sample = self.at(inside);
-                        let index = self.index(cell);
-                        self.samples[index] = sample;
-                    }
+        let source = |axis: usize, cell: i32| {
+            if cell >= inside.lo[axis] && cell < inside.hi[axis] {
+                return cell;
+            }
+            mirror.source(axis, cell).clamp(known.lo[axis], known.hi[axis] - 1)
+        };
+        let CellBox { lo, hi } = cells;
+        for z in known.lo.z..known.hi.z {
+            for y in known.lo.y..known.hi.y {
+                let first = self.index(IVec3::new(lo.x, y, z));
+                for x in (lo.x..known.lo.x).chain(known.hi.x..hi.x) {
+                    let place = |x: i32| first + (x - lo.x) as usize;
+                    self.samples[place(x)] = self.samples[place(source(0, x))];
+                }
+            }
+        }
+        for z in lo.z..hi.z {
+            for y in lo.y..hi.y {
+                let like = [source(1, y), source(2, z)];
+                if like != [y, z] {
+                    let [from, to] =
+                        [like, [y, z]].map(|[y, z]| self.index(IVec3::new(lo.x, y, z)));
+                    self.samples.copy_within(from..from + (hi.x - lo.x) as usize, to);
                 }
             }
         }
@@ -419,5 +431,27 @@ fn put_rows<T: Copy, const N: usize>(
         };
         let there = *to;
         *to = std::array::from_fn(|i| value(there[i], from[i]));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn samples_beyond_walls_mirror_the_samples_before_them() {
+        let cells = CellBox { lo: IVec3::new(-4, 2, -9), hi: IVec3::new(9, 8, 5) };
+        let mut block = Block::zero(cells);
+        (1..).zip(block.samples_mut()).for_each(|(number, sample)| *sample = number);
+        let walls = CellBox { lo: IVec3::new(-1, 3, -20), hi: IVec3::new(3, 8, 2) };
+        let narrow = Mirror::new(CellBox { lo: 2 * walls.lo + 1, hi: 2 * walls.hi });
+        for mirror in [Mirror::new(walls), narrow.in_wider_cells(1)] {
+            let mut mirrored = block.clone();
+            mirrored.mirror(mirror);
+            for cell in (0..cells.volume()).map(|place| block.cell(place)) {
+                let source = IVec3::from([0, 1, 2].map(|axis| mirror.source(axis, cell[axis])));
+                assert_eq!(mirrored.at(cell), block.at(source), "{cell} from {source}, {mirror:?}");
+            }
+        }
     }
 }

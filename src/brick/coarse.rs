@@ -2,8 +2,8 @@
 //!
 //! Along each axis, a wide cell takes 1/4, 3/4, 3/4 and 1/4 of the content of the four cells around
 //! its centre. These weights preserve the mass, the centroid and, up to a constant, the variance of
-//! the content, wherever the content lies. Beyond walls, the finer field repeats its edge cells, as
-//! it does for all filters.
+//! the content, wherever the content lies. The finer field is mirrored at walls, as it is for all
+//! filters.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use multiversion::multiversion;
 use rayon::prelude::*;
 
 use crate::grid::units::FULL;
-use crate::grid::{BIN, CellBox, MortonKey};
+use crate::grid::{BIN, CellBox, Mirror, MortonKey};
 use crate::system::scratch::Scratch;
 
 use super::field::FACTOR_BITS;
@@ -49,10 +49,11 @@ fn halved_along(to: &mut [u32], run: &[u32], step: usize) {
 }
 
 /// The finer cells from which the wide cells of `bin` are made; empty if none of these wide cells
-/// is within the walls of the finer cells.
-pub fn halved_from(bin: IVec3, walls: Option<CellBox>) -> CellBox {
+/// is within the walls at which the finer cells are mirrored.
+pub fn halved_from(bin: IVec3, mirror: Option<Mirror>) -> CellBox {
     let wide = CellBox::cube(bin, BIN);
-    let wide = walls.map_or(wide, |walls| wide.intersection(&walls.in_wider_cells(1)));
+    let within = |mirror: Mirror| wide.intersection(&mirror.in_wider_cells(1).cells());
+    let wide = mirror.map_or(wide, within);
     if wide.is_empty() { CellBox::EMPTY } else { halved_from_box(wide) }
 }
 
@@ -65,7 +66,7 @@ pub fn halved_from_box(wide: CellBox) -> CellBox {
 #[derive(Debug)]
 struct Halving {
     fine: Arc<DifField>,
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
     factor: Factor,
     bins: Vec<IVec3>,
     /// The pages in the scratch file, if there is one.
@@ -99,16 +100,16 @@ impl ScratchPages {
 impl Halving {
     /// Computes the samples of a bin, x fastest.
     fn dense(&self, bin: IVec3) -> Vec<u16> {
-        let fine = halved_from(bin, self.walls);
+        let fine = halved_from(bin, self.mirror);
         let mut dense = vec![0; BIN.pow(3) as usize];
         if fine.is_empty() {
             return dense;
         }
         let wide = CellBox { lo: (fine.lo + 1) / 2, hi: (fine.hi - 1) / 2 };
         let mut sums = vec![0; dense.len()];
-        // Beyond walls, the edge cells are repeated, so every part may have content.
-        let parts = match self.walls {
-            Some(walls) if !walls.covers(&fine) => vec![fine],
+        // Every part beyond walls may have a mirror image of content.
+        let parts = match self.mirror {
+            Some(mirror) if !mirror.cells().covers(&fine) => vec![fine],
             _ => self.fine.parts_with_samples(fine),
         };
         for part in parts {
@@ -133,7 +134,7 @@ impl Halving {
         let near = CellBox { lo: (part.lo - 1) >> 1, hi: (part.hi >> 1) + 1 };
         let wide = wide.intersection(&near);
         let from = halved_from_box(wide);
-        let mut fine = self.fine.gather_within(part, self.walls);
+        let mut fine = self.fine.gather_mirrored(part, self.mirror);
         if part != from {
             let samples = std::mem::replace(&mut fine, Block::zero(from));
             fine.put(&samples);
@@ -179,7 +180,7 @@ impl DifField {
     /// such a folder, or without space in it, pages are remade on demand.
     pub fn halved(
         self: &Arc<Self>,
-        walls: Option<CellBox>,
+        mirror: Option<Mirror>,
         factor: f64,
         scratch: Option<&Path>,
     ) -> Self {
@@ -194,16 +195,16 @@ impl DifField {
         keys.par_sort_unstable();
         keys.dedup();
         let bins = keys.into_iter().map(|key| key.coord());
-        let bins: Vec<IVec3> = bins.filter(|&bin| !halved_from(bin, walls).is_empty()).collect();
+        let bins: Vec<IVec3> = bins.filter(|&bin| !halved_from(bin, mirror).is_empty()).collect();
         let factor = Factor::new(factor);
         if let Some((infos, pages)) =
-            self.remote().and_then(|pages| pages.halved(&bins, walls, factor))
+            self.remote().and_then(|pages| pages.halved(&bins, mirror, factor))
         {
             let bins = infos.iter().map(|info| info.key.coord()).collect();
-            let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
+            let halving = Halving { fine: Arc::clone(self), mirror, factor, bins, kept: None };
             return Self::from_remote(HALVED, infos, pages, Box::new(halving));
         }
-        let halving = Halving { fine: Arc::clone(self), walls, factor, bins, kept: None };
+        let halving = Halving { fine: Arc::clone(self), mirror, factor, bins, kept: None };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
         // The wide field has about an eighth of the finer field's cells. Its cache is a quarter as
         // large.
@@ -261,7 +262,7 @@ mod tests {
     }
 
     /// Evaluates the formula for one wide cell.
-    fn plain(fine: &DifField, walls: Option<CellBox>, cell: IVec3, factor: f64) -> u16 {
+    fn plain(fine: &DifField, mirror: Option<Mirror>, cell: IVec3, factor: f64) -> u16 {
         let weights = [1.0, 3.0, 3.0, 1.0];
         let around = CellBox { lo: cell * 2 - 1, hi: cell * 2 + 3 };
         let mut sum = 0.0;
@@ -269,8 +270,8 @@ mod tests {
             for y in 0..4 {
                 for x in 0..4 {
                     let mut at = around.lo + IVec3::new(x, y, z);
-                    if let Some(walls) = walls {
-                        at = at.clamp(walls.lo, walls.hi - 1);
+                    if let Some(mirror) = mirror {
+                        at = IVec3::from([0, 1, 2].map(|axis| mirror.source(axis, at[axis])));
                     }
                     let sample = fine.gather(CellBox { lo: at, hi: at + 1 }).at(at);
                     sum += weights[x as usize]
@@ -285,8 +286,8 @@ mod tests {
 
     #[test]
     fn wide_cells_match_the_formula_with_and_without_walls() {
-        let odd = CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) };
-        for (among, walls, factor) in [
+        let odd = Mirror::new(CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) });
+        for (among, mirror, factor) in [
             (3, None, 1.0),
             (3, None, 0.421_875),
             (3, Some(odd), 0.25),
@@ -294,16 +295,16 @@ mod tests {
             (500, Some(odd), 1.0),
         ] {
             let fine = noise(among);
-            let wide = fine.halved(walls, factor, None);
+            let wide = fine.halved(mirror, factor, None);
             let cells = CellBox { lo: IVec3::new(-10, -3, -3), hi: IVec3::new(34, 11, 19) };
-            let cells = walls.map_or(cells, |walls| walls.in_wider_cells(1));
+            let cells = mirror.map_or(cells, |mirror| mirror.in_wider_cells(1).cells());
             let block = wide.gather(cells);
             let mut any = 0;
             for cell in cells.cubes(1) {
                 assert_eq!(
                     block.at(cell),
-                    plain(&fine, walls, cell, factor),
-                    "{cell} of {walls:?}, {among}"
+                    plain(&fine, mirror, cell, factor),
+                    "{cell} of {mirror:?}, {among}"
                 );
                 any += i32::from(block.at(cell) > 0);
             }

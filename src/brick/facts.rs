@@ -1,6 +1,6 @@
 //! Facts about a frame, in addition to its field.
 
-use crate::grid::{CellBox, Domain, Grid, Periodic, PeriodicMesh};
+use crate::grid::{CellBox, Domain, Grid, Mirror, Periodic, PeriodicMesh};
 
 use super::Census;
 
@@ -38,6 +38,12 @@ impl FrameFacts {
     #[must_use]
     pub fn walls(&self) -> Option<CellBox> {
         self.domain.as_ref().map(Domain::cells)
+    }
+
+    /// The mirror at the walls; `None` without walls.
+    #[must_use]
+    pub fn mirror(&self) -> Option<Mirror> {
+        self.domain.as_ref().map(Domain::mirror)
     }
 
     /// The walls at which the mesh ends; the field may extend beyond them.

@@ -10,7 +10,7 @@ use hashbrown::HashMap;
 use rayon::prelude::*;
 
 use crate::grid::units::FULL;
-use crate::grid::{BIN, CellBox, MortonKey, block_parts};
+use crate::grid::{BIN, CellBox, Mirror, MortonKey, block_parts};
 
 use super::store::PageStore;
 use super::{Block, BrickSide, PageInfo, PageSamples, PageShape, PageSource, Pages};
@@ -172,11 +172,11 @@ impl DifField {
         (block, (full.len() <= most).then_some(full))
     }
 
-    /// Cuts the samples of `cells` out of the bricks. Beyond `walls`, the edge cells are repeated.
-    pub fn gather_within(&self, cells: CellBox, walls: Option<CellBox>) -> Block {
+    /// Cuts the samples of `cells` out of the bricks, mirrored by `mirror`.
+    pub fn gather_mirrored(&self, cells: CellBox, mirror: Option<Mirror>) -> Block {
         let mut block = self.gather(cells);
-        if let Some(walls) = walls {
-            block.repeat_edges(walls);
+        if let Some(mirror) = mirror {
+            block.mirror(mirror);
         }
         block
     }
@@ -385,12 +385,12 @@ pub trait RemotePages: Send + Sync + Debug {
     fn samples(&self, pages: Range<usize>) -> Option<Vec<PageSamples>>;
 
     /// Makes the pages of `bins` in cells twice as wide, the same as
-    /// [`DifField::halved`](super::DifField::halved) does. Empty pages are left out. `walls` are in
+    /// [`DifField::halved`](super::DifField::halved) does. Empty pages are left out. `mirror` is in
     /// cells of this field.
     fn halved(
         &self,
         bins: &[IVec3],
-        walls: Option<CellBox>,
+        mirror: Option<Mirror>,
         factor: Factor,
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)>;
 

@@ -221,7 +221,7 @@ pub fn surfaces_and_bulk<F: Fields>(
 ) -> Result<WithSurfaces<F::Field>, F::Error> {
     let DistanceFilters { level, bulk, near, least, stands_out, inside, .. } = distances;
     let clouds = fields.samples(*level, distances.wide_halo())?;
-    let filled = fields.filled(&clouds)?;
+    let filled = fields.filled(&clouds, bulk.scale)?;
     let Depths { calm, fine, apart } = fields.depths(bulk, filled)?;
     let outlying = fields.outlying([&calm, &fine], clouds, (*least, stands_out))?;
     let apart = fields.blur(apart, &bulk.around)?;
@@ -294,8 +294,8 @@ pub fn sheets<F: Fields>(
     if !fields.may_hold(by, &clouds) {
         return Ok(None);
     }
-    // A thin layer of fluid on a solid is not a sheet, so clouds are continued into solids.
-    let filled = fields.filled(&clouds)?;
+    // Thick fluid continues into solids. A thin film on a solid is a sheet.
+    let filled = fields.filled(&clouds, bulk.scale)?;
     drop(clouds);
     let smooth = fields.blur(filled.clone(), &by.bulk)?;
     let Loose { clouds, weights } = fields.loose(filled, smooth, bulk.scale)?;
@@ -325,10 +325,11 @@ pub trait Fields {
     /// middles of the wider cells.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
-    /// Clouds, continued into solids: see [`solid`](crate::field::solid).
-    fn filled(&mut self, clouds: &Self::Field) -> Result<Self::Field, Self::Error>;
+    /// Clouds, continued into solids: see [`solid`](crate::field::solid). `scale` is the factor in
+    /// [`Bulk`].
+    fn filled(&mut self, clouds: &Self::Field, scale: u32) -> Result<Self::Field, Self::Error>;
 
-    /// Applies one separable filter (section 4.2); edge cells are repeated beyond walls.
+    /// Applies one separable filter (section 4.2). Fields are mirrored at walls.
     fn blur(&mut self, field: Self::Field, weights: &Weights) -> Result<Self::Field, Self::Error>;
 
     /// theta_bar (section 6.2).
@@ -374,8 +375,7 @@ pub trait Fields {
         by: (u16, &StandsOut),
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The greatest sample within `reach` cells along each axis; edge cells are repeated beyond
-    /// walls.
+    /// The greatest sample within `reach` cells along each axis.
     fn spread(&mut self, field: Self::Field, reach: i32) -> Result<Self::Field, Self::Error>;
 
     /// Examines the wide fields, whose cells are 2^`level` times as wide as the requested cells.
@@ -450,9 +450,4 @@ pub trait Fields {
         thin: ThinShares<Self::Field>,
         by: (&Drops, &StandsOut),
     ) -> Result<Self::Field, Self::Error>;
-}
-
-/// The cells of a level that lie within the walls. Beyond these cells, samples are repeated.
-pub fn walls_at(level: u32, walls: Option<CellBox>) -> Option<CellBox> {
-    walls.map(|walls| walls.in_wider_cells(level))
 }

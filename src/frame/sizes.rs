@@ -5,14 +5,13 @@ use crate::brick::{Bins, Block, FrameFacts};
 use crate::field::blur::Smoothing;
 use crate::field::calibration::Calibration;
 use crate::field::indicator::{CloudWalls, Indicator, IndicatorKind};
-use crate::field::recipe::walls_at;
 use crate::field::sizes::{
     BlockLevels, FinerBlocks, Layer, LayerPages, Octaves, SIDE, SampledOctaves, SizedClouds,
     in_finer_spacings,
 };
 use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
 use crate::grid::units::Isovalue;
-use crate::grid::{BlockLevel, CellBox, LevelRegion};
+use crate::grid::{BlockLevel, CellBox, LevelRegion, Mirror};
 use crate::particles::sizes::Sizes;
 use crate::surface::dual_mc::levels::{LevelField, LevelFields, cells_by_level, mixed_block_mesh};
 use crate::surface::dual_mc::{Normals, block_mesh, dual_cells};
@@ -116,7 +115,7 @@ impl SampledSizes {
         let walls = facts.mesh_walls(periodic_mesh).map(|walls| walls.cells());
         let of_level = |(level, clouds)| FieldOfLevel {
             field: SizedField::new(clouds, smooth, sheets, surfacing.solid.clone(), plateau),
-            walls: walls_at(level, walls),
+            walls: walls.map(|walls| walls.in_wider_cells(level)),
         };
         let fields: Vec<_> = (0..).zip(&self.clouds).map(of_level).collect();
         let FieldOfLevel { field, .. } = &fields[0];
@@ -126,10 +125,10 @@ impl SampledSizes {
             // At a wall, wide cells can extend further than the narrow cells that touch them.
             let touches_wide = levels.of(level, region.block()).wider != 0;
             let within = if touches_wide {
-                let wider = walls_at(u32::from(level) + 1, walls);
+                let wider = walls.map(|walls| walls.in_wider_cells(u32::from(level) + 1));
                 wider.map(|wider| wider.in_narrower_cells(1))
             } else {
-                walls_at(level.into(), walls)
+                walls.map(|walls| walls.in_wider_cells(level.into()))
             };
             let cut = |within: CellBox| cells.intersection(&within.grown(1, 0));
             LevelRegion { level, cells: within.map_or(cells, cut) }
@@ -216,7 +215,7 @@ impl FieldOfLevel<'_> {
         let mesh = |(region, field): (&LevelRegion, Option<Block>)| {
             meter.add(1);
             let mut field = field?;
-            faces.into_iter().for_each(|faces| field.repeat_edges(faces));
+            faces.into_iter().for_each(|faces| field.mirror(Mirror::new(faces)));
             let mesh = block_mesh(&field, region.cells, iso, normals, walls)?;
             let level = BlockLevel { level: region.level, ..BlockLevel::default() };
             Some(BlockMesh { level, ..mesh })

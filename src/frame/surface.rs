@@ -12,7 +12,7 @@ use crate::field::blur::Filter;
 use crate::field::blur::Smoothing;
 use crate::field::calibration::{CALIBRATING, MeasuredCalibration};
 use crate::field::indicator::SampledDif;
-use crate::field::recipe::{Recipe, walls_at};
+use crate::field::recipe::Recipe;
 use crate::frame::estimate::{BLOCKS_A_THREAD, CARRIED_BYTES};
 use crate::grid::stretch::Stretch;
 use crate::grid::{BLOCK, CellBox, Domain, LevelRegion, MortonKey, PeriodicMesh};
@@ -250,14 +250,14 @@ impl<'a> CalibratedFrame<'a> {
         let Some((bins, infos)) = self.carried else { return Ok(()) };
         let level = mesh.level.level;
         let smoothing = &self.extracted.attribute_smoothing[usize::from(level)];
-        let (crossings, walls) =
-            (self.extracted.crossings, walls_at(level.into(), self.facts.walls()));
+        let crossings = self.extracted.crossings;
+        let mirror = self.facts.mirror().map(|mirror| mirror.in_wider_cells(level.into()));
         for (index, info) in infos.iter().enumerate() {
             let attribute = (index, info.components);
             let values = if info.kind.is_whole() {
                 nearest_values(bins, attribute, smoothing.halo(), mesh, crossings)
             } else {
-                vertex_values(bins, attribute, smoothing, mesh, crossings, walls)
+                vertex_values(bins, attribute, smoothing, mesh, crossings, mirror)
             };
             mesh.attributes.push(values?);
         }

@@ -6,7 +6,7 @@ use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{CELL_LIMIT, CellBox, FRACTIONS, Grid};
+use super::{CELL_LIMIT, CellBox, FRACTIONS, Grid, Mirror};
 
 /// The distance, in cells, from the origin to the end of a domain's cells at an open side. It is
 /// greater than the distance to the end of the grid.
@@ -72,7 +72,7 @@ impl fmt::Display for Walls {
 pub struct Domain {
     lo: DVec3,
     hi: DVec3,
-    cells: CellBox,
+    mirror: Mirror,
 }
 
 /// A box that cannot be a domain.
@@ -135,14 +135,20 @@ impl Domain {
         let thin = cells.lo.cmpge(cells.hi);
         match (0..3).find(|&axis| thin.test(axis)) {
             Some(axis) => Err(DomainError::Thin { axis: ['x', 'y', 'z'][axis] }),
-            None => Ok(Self { lo, hi, cells }),
+            None => Ok(Self { lo, hi, mirror: Mirror::new(cells) }),
         }
     }
 
     /// Returns the cells of the domain.
     #[must_use]
     pub fn cells(&self) -> CellBox {
-        self.cells
+        self.mirror.cells()
+    }
+
+    /// The mirror at the faces of the domain's cells.
+    #[must_use]
+    pub fn mirror(&self) -> Mirror {
+        self.mirror
     }
 
     /// The thickness, in cells, of the outermost layer at the lower and the upper wall along each
@@ -151,8 +157,9 @@ impl Domain {
     #[must_use]
     pub fn layers(&self, grid: &Grid) -> [[f64; 2]; 3] {
         let [lo, hi] = [self.lo, self.hi].map(|wall| grid.cells_from_world(wall.to_array()));
+        let cells = self.cells();
         [0, 1, 2].map(|axis: usize| {
-            let (first, end) = (f64::from(self.cells.lo[axis]), f64::from(self.cells.hi[axis]));
+            let (first, end) = (f64::from(cells.lo[axis]), f64::from(cells.hi[axis]));
             if end - first == 1.0 && (hi[axis] - lo[axis]).is_finite() {
                 return [hi[axis] - lo[axis], 1.0];
             }
@@ -179,14 +186,15 @@ impl Domain {
     #[must_use]
     pub fn step_range(&self) -> [[i64; 3]; 2] {
         let first = |cells: IVec3| cells.to_array().map(|c| i64::from(c) * i64::from(FRACTIONS));
-        [first(self.cells.lo), first(self.cells.hi).map(|end| end - 1)]
+        let CellBox { lo, hi } = self.cells();
+        [first(lo), first(hi).map(|end| end - 1)]
     }
 
     /// Converts the walls to a grid whose cells are 2^`octaves` times as wide. The domain then
     /// consists of all wide cells that contain at least one of its cells.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
-        Self { cells: self.cells.in_wider_cells(octaves), ..self }
+        Self { mirror: self.mirror.in_wider_cells(octaves), ..self }
     }
 
     /// Combines the walls of both domains. No axis may have walls in both domains.
@@ -195,7 +203,7 @@ impl Domain {
         Self {
             lo: self.lo.max(other.lo),
             hi: self.hi.min(other.hi),
-            cells: self.cells.intersection(&other.cells),
+            mirror: self.mirror.joined(other.mirror),
         }
     }
 }

@@ -7,12 +7,14 @@
 
 mod domain;
 mod levels;
+mod mirror;
 mod periodic;
 pub mod stretch;
 pub mod units;
 
 pub use domain::{Domain, DomainError, Walls};
 pub use levels::{BlockLevel, LevelRegion};
+pub use mirror::Mirror;
 pub use periodic::{Periodic, PeriodicError, PeriodicMesh};
 
 use glam::{DVec3, IVec3};

@@ -19,7 +19,7 @@ use glam::IVec3;
 
 use crate::brick::{Bins, Block};
 use crate::field::blur::{Filter, Smoothing};
-use crate::grid::{BIN, CellBox, FRACTION_BITS, MortonKey};
+use crate::grid::{BIN, CellBox, FRACTION_BITS, Mirror, MortonKey};
 use crate::surface::dual_mc::Crossings;
 use crate::surface::mesh::BlockMesh;
 
@@ -67,7 +67,7 @@ impl FixedPoint {
 }
 
 /// The values of a particle attribute at the vertices of a block, with the components of each
-/// vertex contiguous. `smoothing` and `walls` are in cells of the block's level.
+/// vertex contiguous. `smoothing` and `mirror` are in cells of the block's level.
 ///
 /// # Errors
 /// If a scratch file with particles cannot be read.
@@ -77,7 +77,7 @@ pub fn vertex_values(
     smoothing: &Smoothing,
     mesh: &BlockMesh,
     crossings: Crossings,
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
 ) -> io::Result<Vec<f32>> {
     let edges: Vec<_> = mesh.edges().map(|(cell, axis)| [cell, cell + IVec3::AXES[axis]]).collect();
     let used = edges
@@ -88,13 +88,13 @@ pub fn vertex_values(
         return Ok(Vec::new());
     }
     let reach = smoothing.halo();
-    // Cells beyond a wall repeat the sums of the nearest cell inside the wall.
-    let cells = used.with_nearest_of(walls).grown(reach, reach);
+    // Sums are mirrored at walls.
+    let cells = used.with_nearest_of(mirror.map(|mirror| mirror.cells())).grown(reach, reach);
     let smooth = |mut sum: Block<f64>| {
-        if let Some(walls) = walls {
-            sum.repeat_edges(walls);
+        if let Some(mirror) = mirror {
+            sum.mirror(mirror);
         }
-        smoothing.apply(sum, walls)
+        smoothing.apply(sum, mirror)
     };
     let mut values = vec![0.0; edges.len() * components];
     for first in (0..components).step_by(AT_ONCE) {

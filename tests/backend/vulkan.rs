@@ -15,7 +15,7 @@ use meniscus::internals::field::indicator::{CloudWalls, IndicatorKind, PageRule}
 use meniscus::internals::field::recipe::{PaperFilters, Recipe};
 use meniscus::internals::frame::{Detail, Engine, Normals, Resources, Sampling, Surfacing};
 use meniscus::internals::grid::units::{Isovalue, MemoryBudget, Sigma, Smooth};
-use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, PeriodicMesh};
+use meniscus::internals::grid::{BIN, CellBox, Domain, Grid, Mirror, PeriodicMesh};
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::open_particles;
 use meniscus::internals::shaders::{BLUR, SHADERS};
@@ -71,23 +71,24 @@ fn blurring_on_the_device_matches_the_cpu_for_every_reach_and_wall() {
             let weights = Weights::gaussian(Sigma::new(sigma).unwrap());
             let reach = weights.reach();
             let inner = CellBox { lo: IVec3::new(-5, 3, -20), hi: IVec3::new(6, 12, -13) };
-            let mut dif = random_block(inner.grown(reach, reach), seed);
-            for walls in [None, Some(CellBox { lo: inner.lo + 2, hi: inner.hi + 1 })] {
-                if let Some(walls) = walls {
-                    dif.repeat_edges(walls);
+            let dif = random_block(inner.grown(reach, reach), seed);
+            let faces = Mirror::new(CellBox { lo: inner.lo + 2, hi: inner.hi + 1 });
+            let twice = CellBox { lo: 2 * inner.lo + 3, hi: 2 * inner.hi - 1 };
+            let middles = Mirror::new(twice).in_wider_cells(1);
+            for mirror in [None, Some(faces), Some(middles)] {
+                let mut mirrored = dif.clone();
+                if let Some(mirror) = mirror {
+                    mirrored.mirror(mirror);
                 }
-                let expected = blur::blur(dif.clone(), &weights, None);
-                let (block, samples) = blurred_on(device, &pipeline, &dif, &weights, walls);
-                let inside = walls.map_or(inner, |walls| inner.intersection(&walls));
+                let expected = blur::blur(mirrored, &weights, None);
+                let (block, samples) = blurred_on(device, &pipeline, &dif, &weights, mirror);
+                let inside = mirror.map_or(inner, |mirror| inner.intersection(&mirror.cells()));
                 for ([y, z], row) in expected.rows(inside) {
                     for (x, &sample) in (inside.lo.x..).zip(row) {
                         let at = IVec3::new(x, y, z) - IVec3::from(block.lo);
                         let [width, height, _] = block.size.map(|n| n as i32);
                         let found = samples[(at.x + width * (at.y + height * at.z)) as usize];
-                        assert_eq!(
-                            found, sample,
-                            "sigma {sigma}, walls {walls:?}, cell {x} {y} {z}"
-                        );
+                        assert_eq!(found, sample, "sigma {sigma}, {mirror:?}, cell {x} {y} {z}");
                     }
                 }
             }
@@ -101,7 +102,7 @@ fn blurred_on(
     pipeline: &Arc<meniscus::internals::vulkan::ComputePipeline>,
     dif: &Block,
     weights: &Weights,
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
 ) -> (DeviceBlock, Vec<u16>) {
     let block = DeviceBlock::new(dif.cells(), CellBox { lo: IVec3::ZERO, hi: IVec3::ZERO });
     let mut padded = Block::<u16>::zero(block.cells());
@@ -117,7 +118,7 @@ fn blurred_on(
     let mut batch = device.batch(Queue::Compute).unwrap();
     batch.begin().unwrap();
     let views = [&field, &through, &to];
-    blur::vulkan::blur(&mut batch, pipeline, &blocks, (weights, &uploaded), walls, 0, views)
+    blur::vulkan::blur(&mut batch, pipeline, &blocks, (weights, &uploaded), mirror, 0, views)
         .unwrap();
     batch.submit(&[]).unwrap();
     batch.wait().unwrap();

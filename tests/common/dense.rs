@@ -22,6 +22,34 @@ pub struct Method {
     pub walls: Option<CellBox>,
 }
 
+/// The planes at which walls mirror the fluid, in halves of a cell.
+#[derive(Clone, Copy)]
+pub struct Mirrors([IVec3; 2]);
+
+impl Mirrors {
+    pub fn of(walls: CellBox) -> Self {
+        Self([walls.lo * 2, walls.hi * 2])
+    }
+
+    /// The planes in cells twice as wide, rounded outwards.
+    pub fn wider(self) -> Self {
+        let [lo, hi] = self.0;
+        Self([lo.div_euclid(IVec3::splat(2)), (hi + 1).div_euclid(IVec3::splat(2))])
+    }
+
+    /// The cell whose image along `axis` is at `cell`, found by reflecting the middle of `cell` until
+    /// it is between the planes.
+    fn source(self, mut cell: IVec3, axis: usize) -> IVec3 {
+        let [lo, hi] = self.0.map(|planes| planes[axis]);
+        let mut middle = 2 * cell[axis] + 1;
+        while middle < lo || middle > hi {
+            middle = 2 * if middle < lo { lo } else { hi } - middle;
+        }
+        cell[axis] = (middle - 1) / 2;
+        cell
+    }
+}
+
 /// A value for every cell of a box.
 #[derive(Clone)]
 pub struct Dense<T> {
@@ -60,11 +88,22 @@ impl<T: Copy + Default> Dense<T> {
         &mut self.values[(local.x + size.x * (local.y + size.y * local.z)) as usize]
     }
 
-    /// The value of a cell. Outside the box, the value is 0 or, with walls, the value of the box's
-    /// nearest cell.
-    pub fn at(&self, cell: IVec3, walls: Option<CellBox>) -> T {
+    /// The value of a cell. Outside the box, the value is 0 or, with walls, the value of the cell
+    /// whose mirror image is at `cell`.
+    pub fn at(&self, cell: IVec3, walls: Option<Mirrors>) -> T {
         let cell =
-            if walls.is_some() { cell.clamp(self.cells.lo, self.cells.hi - 1) } else { cell };
+            walls.map_or(cell, |walls| (0..3).fold(cell, |cell, axis| walls.source(cell, axis)));
+        self.value(cell)
+    }
+
+    /// The value of the cell that is `k` cells from `cell` along `axis`, like [`at`](Self::at) but
+    /// mirrored only along this axis.
+    pub fn along(&self, cell: IVec3, (k, axis): (i32, usize), walls: Option<Mirrors>) -> T {
+        let cell = cell + IVec3::AXES[axis] * k;
+        self.value(walls.map_or(cell, |walls| walls.source(cell, axis)))
+    }
+
+    fn value(&self, cell: IVec3) -> T {
         if !self.cells.contains(cell) {
             return T::default();
         }
@@ -136,7 +175,7 @@ impl Method {
                 Dense::new(field.cells, |cell| {
                     let tap = |k: i32| {
                         half[k.unsigned_abs() as usize]
-                            * field.at(cell + IVec3::AXES[axis] * k, self.walls)
+                            * field.along(cell, (k, axis), self.walls.map(Mirrors::of))
                     };
                     let reach = half.len() as i32 - 1;
                     (-reach..=reach).map(tap).sum()
@@ -192,7 +231,7 @@ impl Method {
                 Dense::new(field.cells, |cell| {
                     let tap = |k: i32| {
                         half[k.unsigned_abs() as usize]
-                            * u64::from(field.at(cell + IVec3::AXES[axis] * k, self.walls))
+                            * u64::from(field.along(cell, (k, axis), self.walls.map(Mirrors::of)))
                     };
                     let reach = half.len() as i32 - 1;
                     (((-reach..=reach).map(tap).sum::<u64>() + 32768) / 65536) as u16

@@ -9,7 +9,7 @@ use glam::{DVec3, IVec3};
 use meniscus::internals::field::distance::{AWAY, DEPTHS};
 use meniscus::internals::grid::CellBox;
 
-use super::dense::Dense;
+use super::dense::{Dense, Mirrors};
 
 /// The settings of the oracle.
 pub struct Distances {
@@ -112,14 +112,13 @@ fn integer_width(half: &[u64]) -> f64 {
 }
 
 /// Blurs a field along each axis. The blur along the last axis adds `gain` bits of precision.
-fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<CellBox>) -> Dense<u16> {
+fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<Mirrors>) -> Dense<u16> {
     (0..3).fold(field.clone(), |field, axis| {
         let shift = if axis == 2 { 16 - gain } else { 16 };
         let reach = half.len() as i32 - 1;
         Dense::new(field.cells, |cell| {
             let tap = |k: i32| {
-                half[k.unsigned_abs() as usize]
-                    * u64::from(field.at(cell + IVec3::AXES[axis] * k, walls))
+                half[k.unsigned_abs() as usize] * u64::from(field.along(cell, (k, axis), walls))
             };
             let sum: u64 = (-reach..=reach).map(tap).sum();
             (((sum + (1 << (shift - 1))) >> shift).min(65535)) as u16
@@ -196,7 +195,7 @@ pub fn clouds(
 }
 
 /// Sums a field into cells twice as wide. Multiplies the sums by `factor`, in units of 1 / 65536.
-fn halved(field: &Dense<u16>, walls: Option<CellBox>, factor: u64) -> Dense<u16> {
+fn halved(field: &Dense<u16>, walls: Option<Mirrors>, factor: u64) -> Dense<u16> {
     let cells = CellBox { lo: field.cells.lo >> 1, hi: (field.cells.hi + 1) >> 1 };
     Dense::new(cells, |wide| {
         let weight = |away: IVec3| {
@@ -263,15 +262,13 @@ impl Distances {
         let cells = self.cells(particles);
         let fine = clouds(particles, cells, self.walls, amount(self.spacing));
         // Clouds at every level of wide cells, each with the walls in cells of that level.
-        let mut clouds = vec![(fine, self.walls)];
+        let mut clouds = vec![(fine, self.walls.map(Mirrors::of))];
         for level in 0..level {
             let of = |level: u32| amount(self.spacing / f64::from(1 << level)) as f64;
             let (finer, walls) = clouds.last().expect("there is one at level 0");
             let wider = halved(finer, *walls, (of(level + 1) / of(level) * 65536.0) as u64);
-            clouds.push((
-                wider,
-                walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 }),
-            ));
+            let walls = walls.map(Mirrors::wider);
+            clouds.push((wider, walls));
         }
         let (wide, walls) = clouds.last().expect("there is one at level 0");
         let (bulk, outlying) = self.bulk(wide, *walls, edge, inside);
@@ -290,7 +287,7 @@ impl Distances {
     fn bulk(
         &self,
         wide: &Dense<u16>,
-        walls: Option<CellBox>,
+        walls: Option<Mirrors>,
         edge: f64,
         inside: impl Fn(IVec3) -> bool,
     ) -> (Dense<u16>, Dense<u16>) {
@@ -343,7 +340,7 @@ impl Distances {
         let reach = near(edge);
         let outlying = (0..3).fold(outlying, |field, axis| {
             Dense::new(field.cells, |cell| {
-                let taps = (-reach..=reach).map(|k| field.at(cell + IVec3::AXES[axis] * k, walls));
+                let taps = (-reach..=reach).map(|k| field.along(cell, (k, axis), walls));
                 taps.max().unwrap_or(0)
             })
         });
@@ -393,7 +390,7 @@ impl Drops {
     }
 
     /// Computes each cell's share of the clouds around it, and blurs the shares.
-    fn shares(&self, clouds: &Dense<u16>, walls: Option<CellBox>) -> Dense<u16> {
+    fn shares(&self, clouds: &Dense<u16>, walls: Option<Mirrors>) -> Dense<u16> {
         let (gain, bits) = self.bits();
         let around = blur(clouds, &integers(&self.around), gain, walls);
         let shares = Dense::new(clouds.cells, |cell| {
@@ -422,7 +419,7 @@ impl Drops {
 
 /// Interpolates wide cells at the centres of cells, by a quadratic B-spline whose control points
 /// are the wide cells.
-fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>) -> Dense<u16> {
+fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<Mirrors>) -> Dense<u16> {
     if level == 0 {
         return wide.clone();
     }
@@ -437,7 +434,7 @@ fn refined(wide: &Dense<u16>, level: u32, cells: CellBox, walls: Option<CellBox>
             let weights = [below, 2 * edge * edge - below - above, above];
             let mut own = cell;
             own[axis] >>= level;
-            let tap = |k: i32| u64::from(field.at(own + IVec3::AXES[axis] * k, walls));
+            let tap = |k: i32| u64::from(field.along(own, (k, axis), walls));
             let sum: u64 = (-1..=1).map(|k| weights[(k + 1) as usize] * tap(k)).sum();
             ((sum + (edge * edge)) / (2 * edge * edge)) as u16
         });
@@ -479,13 +476,12 @@ fn risen(value: f64, [begin, end]: [f64; 2]) -> f64 {
     x * x * (3.0 - 2.0 * x)
 }
 
-fn really_blurred(field: &Dense<f64>, half: &[f64], walls: Option<CellBox>) -> Dense<f64> {
+fn really_blurred(field: &Dense<f64>, half: &[f64], walls: Option<Mirrors>) -> Dense<f64> {
     let reach = half.len() as i32 - 1;
     (0..3).fold(field.clone(), |field, axis| {
         Dense::new(field.cells, |cell| {
-            let tap = |k: i32| {
-                half[k.unsigned_abs() as usize] * field.at(cell + IVec3::AXES[axis] * k, walls)
-            };
+            let tap =
+                |k: i32| half[k.unsigned_abs() as usize] * field.along(cell, (k, axis), walls);
             (-reach..=reach).map(tap).sum()
         })
     })
@@ -495,7 +491,7 @@ fn really_refined(
     wide: &Dense<f64>,
     level: u32,
     cells: CellBox,
-    walls: Option<CellBox>,
+    walls: Option<Mirrors>,
 ) -> Dense<f64> {
     if level == 0 {
         return wide.clone();
@@ -510,7 +506,7 @@ fn really_refined(
             own[axis] = at.floor() as i32;
             let tap = |k: i32| {
                 let away = at.floor() + f64::from(k) + 0.5 - at;
-                b_spline(away) * field.at(own + IVec3::AXES[axis] * k, walls)
+                b_spline(away) * field.along(own, (k, axis), walls)
             };
             (-1..=1).map(tap).sum()
         })
@@ -520,7 +516,7 @@ fn really_refined(
 impl Distances {
     /// The clouds at every level in f64, each with the walls at that level. A value is the number
     /// of particles in a cell, clamped to the maximum of an integer sample.
-    fn real_clouds(&self, particles: &[[f64; 3]]) -> Vec<(Dense<f64>, Option<CellBox>)> {
+    fn real_clouds(&self, particles: &[[f64; 3]]) -> Vec<(Dense<f64>, Option<Mirrors>)> {
         let told = |level: u32, cloud: Dense<f64>| {
             let most = 65535.0 / amount(self.spacing / f64::from(1 << level)) as f64;
             Dense {
@@ -540,7 +536,7 @@ impl Distances {
                 *fine.nearest(to) += share;
             }
         }
-        let mut clouds = vec![(told(0, fine), self.walls)];
+        let mut clouds = vec![(told(0, fine), self.walls.map(Mirrors::of))];
         for level in 1..=self.wide().0 {
             let (finer, walls) = clouds.last().expect("there is one at level 0");
             let to = CellBox { lo: finer.cells.lo >> 1, hi: (finer.cells.hi + 1) >> 1 };
@@ -552,7 +548,7 @@ impl Distances {
                 };
                 CellBox::cube(IVec3::ZERO, 4).cubes(1).map(tap).sum()
             });
-            let walls = walls.map(|walls| CellBox { lo: walls.lo >> 1, hi: (walls.hi + 1) >> 1 });
+            let walls = walls.map(Mirrors::wider);
             clouds.push((told(level, wider), walls));
         }
         clouds
@@ -602,7 +598,7 @@ impl Distances {
     fn real_bulk(
         &self,
         wide: &Dense<f64>,
-        walls: Option<CellBox>,
+        walls: Option<Mirrors>,
         edge: f64,
     ) -> (Dense<f64>, Dense<f64>) {
         // The plateau is the sample of a wide cell deep in the fluid, with the gained bits.
@@ -633,7 +629,7 @@ impl Distances {
         let reach = near(edge);
         let near = (0..3).fold(outlying, |field, axis| {
             Dense::new(field.cells, |cell| {
-                let taps = (-reach..=reach).map(|k| field.at(cell + IVec3::AXES[axis] * k, walls));
+                let taps = (-reach..=reach).map(|k| field.along(cell, (k, axis), walls));
                 taps.fold(0.0, f64::max)
             })
         });

@@ -30,6 +30,25 @@ fn sheet(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
     particles
 }
 
+/// A round film of particles on the plane y = 0, with jittered layers that are stretched along the
+/// plane. Stretching brings the layers closer together.
+pub fn film(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
+    const RADIUS: f64 = 9.0;
+    let (sin, cos) = random.unit().sin_cos();
+    let edge = (2.0 * RADIUS / stretch).ceil() as u32 + 1;
+    let mut particles = Vec::new();
+    for i in 0..edge * edge * layers {
+        let [x, z] = [i % edge, i / edge % edge].map(|k| f64::from(k) * stretch - RADIUS);
+        let [to_x, to_y, to_z] = [(); 3].map(|()| 0.4 * random.unit() - 0.2);
+        let y = (f64::from(i / (edge * edge)) + 0.5 + to_y) / (stretch * stretch);
+        if x * x + z * z < RADIUS * RADIUS {
+            let (x, z) = (x + to_x, z + to_z);
+            particles.push([x * cos - z * sin, y, x * sin + z * cos]);
+        }
+    }
+    particles
+}
+
 fn measured(particles: &[[f64; 3]], cell: f64, sheets: f64) -> Measures {
     let request = Reconstruction::new().spacing(1.0).cell_size(cell).sheets(sheets);
     let mesh = request.run(particles).unwrap().to_mesh().unwrap();
@@ -134,6 +153,27 @@ fn sheets_and_filaments_that_stand_on_water_hold_down_to_the_water() {
     }
     let torn = measured(&splash(1.6), 0.25, 0.0);
     assert!(torn.genus > Some(20), "{torn:?}");
+}
+
+#[test]
+fn films_on_a_floor_hold_wherever_the_floor_lies_in_the_cells() {
+    for (layers, stretch) in [(1, 1.0), (1, 1.2), (1, 1.4), (1, 1.6), (2, 1.0), (2, 1.4)] {
+        for (cell, floor) in [(0.5, 0.0), (0.5, 0.37), (0.5, 0.75), (0.25, 0.0), (0.25, 0.25)] {
+            let raised = |[x, y, z]: [f64; 3]| [x, y + floor, z];
+            let film = film(layers, stretch, &mut Random::new(5));
+            let particles: Vec<_> = film.into_iter().map(raised).collect();
+            let request = Reconstruction::new().spacing(1.0).cell_size(cell);
+            let open = f64::INFINITY;
+            let request = request.domain([-open, floor, -open], [open; 3]);
+            let mesh = request.run(&particles[..]).unwrap().to_mesh().unwrap();
+            assert_eq!(watertight::defect(&mesh), None);
+            let found = measure(&mesh);
+            let what = format!("{layers} layers, {stretch}, cells of {cell}, floor at {floor}");
+            assert_eq!((found.components, found.genus), (1, Some(0)), "{what}");
+            let volume = found.volume.unwrap() / particles.len() as f64;
+            assert!((0.85..1.5).contains(&volume), "{what}: {volume}");
+        }
+    }
 }
 
 #[test]

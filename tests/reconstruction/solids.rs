@@ -25,6 +25,7 @@ use crate::common::periodic::{Faces, repeated, triangles_within};
 use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
 use crate::common::{sampling, surfacing, watertight};
+use crate::sheets::film;
 
 /// The size of the pool along x and z.
 const SIZE: f64 = 30.0;
@@ -138,6 +139,37 @@ fn water_ends_at_solids_and_keeps_its_level_up_to_them() {
             // With a jitter of 0.5, the level has noise of 0.07 even far from the solid.
             let most = if jitter < 0.4 { 0.1 } else { 0.14 };
             assert!(bias.abs() < 0.05 && rms < most, "{what}: level near the solid {bias}, {rms}");
+        }
+    }
+}
+
+#[test]
+fn films_on_solids_hold_and_keep_their_volume() {
+    let folder = TempDir::new().unwrap();
+    let mut plate = cuboid([-20.0, -6.0, -20.0], [20.0, 0.0, 20.0]);
+    for position in &mut plate.positions {
+        *position = rotated(DVec3::from(*position), ANGLE).to_array();
+    }
+    let solid = written(&folder, "plate.obj", &plate);
+    for (layers, stretch) in [(1, 1.0), (1, 1.2), (1, 1.4), (1, 1.6), (2, 1.0), (2, 1.4)] {
+        for cell in [0.25, 0.5] {
+            let film = film(layers, stretch, &mut Random::new(5));
+            // The particles of the lowest layer lie half a spacing above the plate.
+            let raised = |[x, y, z]: [f64; 3]| {
+                rotated(DVec3::new(x, y * stretch * stretch, z), ANGLE).to_array()
+            };
+            let particles: Vec<_> = film.into_iter().map(raised).collect();
+            let request = Reconstruction::new().spacing(1.0).cell_size(cell);
+            let request = request.solids([solid.to_str().unwrap()]);
+            let mesh = request.run(&particles[..]).unwrap().to_mesh().unwrap();
+            assert_eq!(watertight::defect(&mesh), None);
+            let found = measure(&mesh);
+            let what = format!("{layers} layers, {stretch}, cells of {cell}");
+            assert_eq!((found.components, found.genus), (1, Some(0)), "{what}");
+            let volume = found.volume.unwrap() / particles.len() as f64;
+            // Coarse cells cannot hold a thinner film.
+            let most = if cell < 0.5 { 1.4 } else { 2.0 };
+            assert!((0.8..most).contains(&volume), "{what}: {volume}");
         }
     }
 }

@@ -13,12 +13,12 @@ use crate::field::distance::{
 };
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
-    Fields, Filters, Recipe, ThinShares, WideFields, bulk, joined as joined_fields, walls_at,
+    Fields, Filters, Recipe, ThinShares, WideFields, bulk, joined as joined_fields,
 };
 use crate::field::sheets::{Loose, SheetFields, Sheets, blend, holds_any, loose, sheets};
 use crate::field::solid::{FARTHEST, STEPS, SolidFill, WHOLE, cut, outside};
-use crate::grid::CellBox;
 use crate::grid::units::Isovalue;
+use crate::grid::{CellBox, Mirror};
 use crate::surface::solid::Solid;
 
 /// Number of samples that are tested together.
@@ -112,8 +112,8 @@ fn outside_of(
     let cells = cells.grown(reach, reach);
     let distances = solid.distances(grid, periodic, level, cells, width / STEPS, FARTHEST);
     let mut shares = outside(&distances);
-    let walls = walls_at(level, sampled.facts.walls());
-    walls.into_iter().for_each(|walls| shares.repeat_edges(walls));
+    let mirror = sampled.facts.mirror().map(|mirror| mirror.in_wider_cells(level));
+    mirror.into_iter().for_each(|mirror| shares.mirror(mirror));
     Some(shares)
 }
 
@@ -131,7 +131,7 @@ pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
         .min(f64::from(i16::MAX)) as i16;
     let (grid, periodic, step) = (&facts.grid, facts.periodic.as_ref(), spacing / UNITS);
     let mut distances = solid.distances(grid, periodic, 0, field.cells(), step, most);
-    facts.walls().into_iter().for_each(|walls| distances.repeat_edges(walls));
+    facts.mirror().into_iter().for_each(|mirror| distances.mirror(mirror));
     cut(field, &distances, offset.round() as i32, most);
 }
 
@@ -289,20 +289,20 @@ fn within(full: &[IVec3], cells: CellBox) -> Rc<[IVec3]> {
 pub(super) struct StopSignal;
 
 impl Blocks<'_> {
-    fn walls(&self, level: u32) -> Option<CellBox> {
-        walls_at(level, self.sampled.facts.walls())
+    fn mirror(&self, level: u32) -> Option<Mirror> {
+        self.sampled.facts.mirror().map(|mirror| mirror.in_wider_cells(level))
     }
 
     fn gathered(&self, level: u32, cells: CellBox) -> Block {
         match self.density {
             Some(density) => density(level, cells),
-            None => self.sampled.wide(level).gather_within(cells, self.walls(level)),
+            None => self.sampled.wide(level).gather_mirrored(cells, self.mirror(level)),
         }
     }
 
     fn field(&self, mut block: Block, level: u32) -> BlockField {
-        if let Some(walls) = self.walls(level) {
-            block.repeat_edges(walls);
+        if let Some(mirror) = self.mirror(level) {
+            block.mirror(mirror);
         }
         BlockField::new(block, level)
     }
@@ -311,9 +311,9 @@ impl Blocks<'_> {
     fn gathered_few(&self, level: u32, cells: CellBox) -> BlockField {
         let most = cells.volume() / FEW;
         let samples = self.sampled.wide(level);
-        let (block, full) = match self.walls(level) {
-            Some(walls) if !walls.covers(&cells) => {
-                let block = samples.gather_within(cells, Some(walls));
+        let (block, full) = match self.mirror(level) {
+            Some(mirror) if !mirror.cells().covers(&cells) => {
+                let block = samples.gather_mirrored(cells, Some(mirror));
                 let full = block.full_cells(most);
                 (block, full)
             }
@@ -342,14 +342,14 @@ impl Fields for Blocks<'_> {
         if goes_on { Ok(field) } else { Err(StopSignal) }
     }
 
-    fn filled(&mut self, clouds: &BlockField) -> Result<BlockField, StopSignal> {
+    fn filled(&mut self, clouds: &BlockField, scale: u32) -> Result<BlockField, StopSignal> {
         let (level, cells) = (clouds.level, clouds.block.cells());
         let Some(solid) = self.solid else { return Ok(clouds.clone()) };
         let fill = fill(self.sampled, level);
         let shares = outside_of(solid, self.sampled, level, cells, fill.reach());
         let Some(shares) = shares else { return Ok(clouds.clone()) };
         let clouds = self.gathered(level, shares.cells());
-        let filled = fill.filled(&clouds, &shares, cells, self.walls(level));
+        let filled = fill.filled((&clouds, scale), &shares, cells, self.mirror(level));
         self.outside = Some(Rc::new(shares));
         Ok(BlockField::new(filled, level))
     }
@@ -359,13 +359,13 @@ impl Fields for Blocks<'_> {
         BlockField { block, level, full }: BlockField,
         weights: &Weights,
     ) -> Result<BlockField, StopSignal> {
-        let walls = self.walls(level);
+        let mirror = self.mirror(level);
         if let Some(full) = full {
             let cells = block.cells().grown(-weights.reach(), -weights.reach());
-            return Ok(BlockField::new(blur_of_few(&block, &full, weights, cells, walls), level));
+            return Ok(BlockField::new(blur_of_few(&block, &full, weights, cells, mirror), level));
         }
         let goes_on = |smooth: &Block| !self.decides || self.field_use.may_cut(smooth);
-        let block = blur_while(Rc::unwrap_or_clone(block), weights, walls, goes_on);
+        let block = blur_while(Rc::unwrap_or_clone(block), weights, mirror, goes_on);
         block.map(|block| BlockField::new(block, level)).ok_or(StopSignal)
     }
 
@@ -392,10 +392,10 @@ impl Fields for Blocks<'_> {
         // All filters compute the cells that the widest filter leaves.
         let cells = block.cells().grown(-by.reach(), -by.reach());
         let share = |width: &Width| {
-            let (weights, walls) = (&width.weights, self.walls(level));
+            let (weights, mirror) = (&width.weights, self.mirror(level));
             match full {
-                Some(full) => blur_of_few(block, full, weights, cells, walls),
-                None => blur(Block::clone(block), weights, walls),
+                Some(full) => blur_of_few(block, full, weights, cells, mirror),
+                None => blur(Block::clone(block), weights, mirror),
             }
         };
         let shares = [0, 1, 2].map(|i: usize| share(&by.widths[i]));
@@ -481,7 +481,7 @@ impl Fields for Blocks<'_> {
     ) -> Result<BlockField, StopSignal> {
         let BlockField { block, level, full } = clouds;
         let Some(full) = full else {
-            let around = blur(Block::clone(&block), around, self.walls(level));
+            let around = blur(Block::clone(&block), around, self.mirror(level));
             return Ok(BlockField::new(quotient(&block, &around, bits), level));
         };
         // Quotients are nonzero only where clouds are.
@@ -491,7 +491,7 @@ impl Fields for Blocks<'_> {
             inner.iter().fold(CellBox::EMPTY, |all, &cell| all.union(&CellBox::cube(cell, 1)));
         let mut quotients = Block::zero(cells);
         if !part.is_empty() {
-            let around = blur_of_few(&block, &full, around, part, self.walls(level));
+            let around = blur_of_few(&block, &full, around, part, self.mirror(level));
             quotients.put(&quotient(&block, &around, bits));
         }
         Ok(BlockField { full: Some(inner), ..BlockField::new(quotients, level) })
@@ -550,7 +550,7 @@ impl Fields for Blocks<'_> {
         let step = by.numbers.step;
         let mut seen = cells.grown(step, step);
         // There are no sheets where the density is low, so they are made only around denser cells.
-        if self.walls(level).is_none_or(|walls| walls.covers(&seen)) {
+        if self.mirror(level).is_none_or(|mirror| mirror.cells().covers(&seen)) {
             let least = by.least_density();
             let dense = wide.block.box_of(|sample| sample >= least);
             let dense = refined_from(wide.level - level, dense).intersection(&cells);

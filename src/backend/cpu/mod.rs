@@ -16,7 +16,7 @@ use rayon::prelude::*;
 use crate::brick::{Bins, Pages};
 use crate::field::indicator::{PageRule, indicate};
 use crate::grid::units::MemoryBudget;
-use crate::grid::{BLOCK, CellBox};
+use crate::grid::{BLOCK, CellBox, Mirror};
 use crate::surface::dual_mc::{block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
@@ -176,7 +176,7 @@ fn meshes_of_spray(
         let region = normals.region(field.cells());
         // The filters use cells beyond a periodic face, but the mesh ends at the face.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
-        cut.into_iter().for_each(|faces| field.repeat_edges(faces));
+        cut.into_iter().for_each(|faces| field.mirror(Mirror::new(faces)));
         block_mesh(&field, region, recipe.iso, normals, walls)
     };
     regions.iter().map(mesh).collect()
@@ -209,7 +209,7 @@ fn meshes(
         let mut field = field?;
         // The filters use cells beyond a periodic face, but the mesh ends at the face.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
-        cut.into_iter().for_each(|faces| field.repeat_edges(faces));
+        cut.into_iter().for_each(|faces| field.mirror(Mirror::new(faces)));
         block_mesh(&field, region, recipe.iso, normals, walls)
     };
     regions.iter().map(mesh).collect()

@@ -11,14 +11,12 @@ use crate::field::distance::{
     DistanceFilters, away, halo_in_cells, outlying, outlying_part, refined, spread, wide_cells,
 };
 use crate::field::indicator::{GHOST_LAYER, WideCells};
-use crate::field::recipe::{
-    Recipe, ThinShares, WideFields, surfaces_and_bulk, thin_shares, walls_at,
-};
+use crate::field::recipe::{Recipe, ThinShares, WideFields, surfaces_and_bulk, thin_shares};
 use crate::field::sizes::{
     OctaveDrops, SizedClouds, WHOLE, averaging, finer_spacings, growth, mixed, share,
 };
 use crate::grid::units::{Isovalue, SheetStretch, Smooth};
-use crate::grid::{BLOCK, CellBox};
+use crate::grid::{BLOCK, CellBox, Mirror};
 use crate::surface::solid::Solid;
 
 use super::fields::{Blocks, CUT, cut_by, refined_from};
@@ -72,7 +70,7 @@ struct OctaveShares {
     part: CellBox,
     /// The distance by which nearby particles lie outside the calm surface, sampled in wide cells.
     outlying: Block,
-    /// The shares of drops and sheets, in the cells in which they are made.
+    /// The shares of drops and sheets, in cells of the drops' level.
     thin: ThinShares<Block>,
 }
 
@@ -179,9 +177,9 @@ impl<'a> SizedField<'a> {
         wide_cells(level, finest).grown(self.near(), self.near())
     }
 
-    /// The walls in cells 2^`level` times as wide as the finest.
-    fn walls(&self, level: u32) -> Option<CellBox> {
-        walls_at(level, self.clouds.octave(0).facts.walls())
+    /// The mirror at walls, in cells 2^`level` times as wide as the finest.
+    fn mirror(&self, level: u32) -> Option<Mirror> {
+        self.clouds.octave(0).facts.mirror().map(|mirror| mirror.in_wider_cells(level))
     }
 
     /// Makes the final field on each of `boxes`, one after another; `None` for a box through which
@@ -260,7 +258,7 @@ impl<'a> SizedField<'a> {
     /// within the wall.
     #[must_use]
     pub fn everywhere_on(&self, cells: CellBox) -> Block {
-        let cells = cells.with_nearest_of(self.walls(0));
+        let cells = cells.with_nearest_of(self.clouds.octave(0).facts.walls());
         let mut surfaces = self.no_surfaces();
         self.make(&mut surfaces, 0, cells);
         let bulk = self.bulk(&surfaces, cells);
@@ -291,7 +289,7 @@ impl<'a> SizedField<'a> {
         for drops in drops {
             field = self.with_drops(field, &drops);
         }
-        self.walls(0).into_iter().for_each(|walls| field.repeat_edges(walls));
+        self.mirror(0).into_iter().for_each(|mirror| field.mirror(mirror));
         let solid = self.solid.as_deref().filter(|solid| self.is_at(solid, cells));
         solid.into_iter().for_each(|solid| cut_by(solid, self.clouds.octave(0), &mut field));
         field
@@ -361,10 +359,8 @@ impl<'a> SizedField<'a> {
 
     /// A density in wide cells of an octave, smoothed by the filter that averages sizes.
     fn averaged(&self, octave: usize, density: Block) -> Block {
-        let walls = self.walls(octave as u32 + self.distances(octave).level);
-        let mut block = blur(density, &self.averaging, walls);
-        walls.into_iter().for_each(|walls| block.repeat_edges(walls));
-        block
+        let mirror = self.mirror(octave as u32 + self.distances(octave).level);
+        blur(density, &self.averaging, mirror)
     }
 
     /// Makes the surface with the filters of an octave, in the octave's wide cells.
@@ -380,10 +376,10 @@ impl<'a> SizedField<'a> {
         };
         let sampled = self.clouds.octave(octave);
         let mut blocks = Blocks::of_density(recipe, sampled, &density, self.solid.as_deref(), own);
-        let walls = self.walls(octave as u32 + distances.level);
+        let mirror = self.mirror(octave as u32 + distances.level);
         let on_wide = |block: &Block| {
             let mut block = block.part(wide);
-            walls.into_iter().for_each(|walls| block.repeat_edges(walls));
+            mirror.into_iter().for_each(|mirror| block.mirror(mirror));
             block
         };
         match surfaces_and_bulk(distances, &mut blocks) {
@@ -407,9 +403,9 @@ impl<'a> SizedField<'a> {
         let DistanceFilters { level, least, stands_out, .. } = distances;
         let sampled = self.clouds.octave(octave);
         // First, find the octave's particles that lie outside the calm surface.
-        let walls = self.walls(octave as u32 + level);
+        let mirror = self.mirror(octave as u32 + level);
         let wide = self.wide(octave, cells);
-        let clouds = sampled.wide(*level).gather_within(wide, walls);
+        let clouds = sampled.wide(*level).gather_mirrored(wide, mirror);
         if clouds.samples().iter().all(|sample| sample < least) {
             return None;
         }
@@ -421,7 +417,7 @@ impl<'a> SizedField<'a> {
         if outlying.samples().iter().all(|&sample| sample <= stands_out.begin()) {
             return None;
         }
-        walls.into_iter().for_each(|walls| outlying.repeat_edges(walls));
+        mirror.into_iter().for_each(|mirror| outlying.mirror(mirror));
         let wide_level = octave as u32 + level;
         let part = outlying_part(&outlying, wide_cells(wide_level, cells), stands_out.begin());
         let part = cells.intersection(&refined_from(wide_level, part));
@@ -429,7 +425,7 @@ impl<'a> SizedField<'a> {
             return None;
         }
         let own = |level: u32, cells: CellBox| {
-            sampled.wide(level).gather_within(cells, self.walls(octave as u32 + level))
+            sampled.wide(level).gather_mirrored(cells, self.mirror(octave as u32 + level))
         };
         let own_part = self.cells(octave, part);
         let mut blocks = Blocks::of_density(recipe, sampled, &own, self.solid.as_deref(), own_part);

@@ -8,7 +8,7 @@ use crate::brick::Block;
 use crate::field::distance::{DistanceFilters, wide_cells};
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::{
-    Fields, Filters, Recipe, ThinShares, WideFields, bulk, sheets, walls_at, with_drops,
+    Fields, Filters, Recipe, ThinShares, WideFields, bulk, sheets, with_drops,
 };
 use crate::grid::{CellBox, TILE};
 
@@ -149,7 +149,7 @@ impl<'a> SprayMaker<'a> {
         if inside.is_empty() {
             return None;
         }
-        // Beyond walls, edge cells are repeated, so the part must include the edge cells.
+        // The part must include the cells whose mirror images lie in it.
         let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&around));
         let part =
             if covered { inside.grown(AROUND, AROUND).intersection(&around) } else { around };
@@ -200,8 +200,8 @@ impl<'a> SprayMaker<'a> {
         let Self { recipe, distances, sampled, .. } = *self;
         let DistanceFilters { level, near, least, .. } = *distances;
         let wide = distances.wide_cells(cells);
-        let wide_walls = walls_at(level, sampled.facts.walls());
-        let clouds = sampled.wide(level).gather_within(wide.grown(near, near), wide_walls);
+        let mirror = sampled.facts.mirror().map(|mirror| mirror.in_wider_cells(level));
+        let clouds = sampled.wide(level).gather_mirrored(wide.grown(near, near), mirror);
         let needed = clouds.box_of(|sample| sample >= least).grown(near, near).intersection(&wide);
         if needed.is_empty() {
             return None;
@@ -216,7 +216,7 @@ impl<'a> SprayMaker<'a> {
         let padded = |BlockField { block, level, .. }: BlockField| {
             let mut all = Block::zero(wide);
             all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
-            wide_walls.into_iter().for_each(|walls| all.repeat_edges(walls));
+            mirror.into_iter().for_each(|mirror| all.mirror(mirror));
             BlockField::new(all, level)
         };
         let blocks = Blocks::of_few(recipe, sampled, cells, FieldUse::Everywhere);

@@ -235,13 +235,13 @@ impl<'a> Contouring<'a> {
         commands: &'b mut Batch,
         grids: Vec<PaddedBlocks>,
     ) -> PaddedFields<'b> {
-        let (pipelines, constants, walls) =
-            (&*self.frame.pipelines, &self.constants, self.surfaces.walls());
+        let (pipelines, constants, mirror) =
+            (&*self.frame.pipelines, &self.constants, self.surfaces.mirror());
         let gathered = VecDeque::new();
         PaddedFields {
             pipelines,
             constants,
-            walls,
+            mirror,
             commands,
             grids,
             gathered,

@@ -9,10 +9,10 @@ use crate::field::blur::vulkan::blur;
 use crate::field::detail::vulkan::{lost, raise};
 use crate::field::distance::vulkan::{depths, join, mixed, outlying, quotient, refine, spread};
 use crate::field::distance::{Bulk, Depths, Drops, InsideBricks, StandsOut, Width};
-use crate::field::recipe::{Fields, ThinShares, WideFields, walls_at};
+use crate::field::recipe::{Fields, ThinShares, WideFields};
 use crate::field::sheets::vulkan::{blend, loose, sheets as make_sheets};
 use crate::field::sheets::{Loose, SheetFields, Sheets};
-use crate::grid::CellBox;
+use crate::grid::Mirror;
 use crate::grid::units::Isovalue;
 use crate::vulkan::{Batch, View, VulkanError};
 
@@ -46,7 +46,7 @@ pub(super) struct PaddedBlocks {
 pub(super) struct PaddedFields<'a> {
     pub(super) pipelines: &'a Pipelines,
     pub(super) constants: &'a FrameConstants,
-    pub(super) walls: Option<CellBox>,
+    pub(super) mirror: Option<Mirror>,
     pub(super) commands: &'a mut Batch,
     pub(super) grids: Vec<PaddedBlocks>,
     /// Gathered samples, in the order in which the recipe requests them.
@@ -86,8 +86,8 @@ impl PaddedFields<'_> {
         self.commands.stage(name, passes * 8 * u64::from(self.grids[of].blocks.words));
     }
 
-    fn walls(&self, of: usize) -> Option<CellBox> {
-        walls_at(self.grids[of].level, self.walls)
+    fn mirror(&self, of: usize) -> Option<Mirror> {
+        self.mirror.map(|mirror| mirror.in_wider_cells(self.grids[of].level))
     }
 
     /// Interpolates the field of another grid for the blocks of the grid `of`.
@@ -100,9 +100,9 @@ impl PaddedFields<'_> {
         let to = self.take(of);
         let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
         let level = self.grids[wide.of].level - self.grids[of].level;
-        let (within, walls) = (self.within(of, wide.of), self.walls(of));
+        let (within, mirror) = (self.within(of, wide.of), self.mirror(wide.of));
         let views = [&wide.samples, &to];
-        refine(self.commands, &self.pipelines.distance, grids, &within, level, walls, views)?;
+        refine(self.commands, &self.pipelines.distance, grids, &within, level, mirror, views)?;
         self.give(wide);
         Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
     }
@@ -132,7 +132,11 @@ impl Fields for PaddedFields<'_> {
     }
 
     /// Does not change `clouds`, because only the CPU handles regions near solids.
-    fn filled(&mut self, clouds: &Rc<PaddedSamples>) -> Result<Rc<PaddedSamples>, VulkanError> {
+    fn filled(
+        &mut self,
+        clouds: &Rc<PaddedSamples>,
+        _: u32,
+    ) -> Result<Rc<PaddedSamples>, VulkanError> {
         Ok(Rc::clone(clouds))
     }
 
@@ -151,9 +155,9 @@ impl Fields for PaddedFields<'_> {
         };
         let filter = (weights, &self.constants.weights[weights]);
         let views = [from, &through, &to];
-        let walls = self.walls(of);
+        let mirror = self.mirror(of);
         let blocks = &self.grids[of].blocks;
-        blur(self.commands, &self.pipelines.blur, blocks, filter, walls, margin, views)?;
+        blur(self.commands, &self.pipelines.blur, blocks, filter, mirror, margin, views)?;
         self.grids[of].free.push(through);
         Ok(Rc::new(PaddedSamples { samples: to, margin: margin + weights.reach(), of }))
     }
@@ -251,7 +255,7 @@ impl Fields for PaddedFields<'_> {
         let of = field.of;
         self.stage("distances", 3, of);
         let (to, through) = (self.take(of), self.take(of));
-        let window = TapWindow { reach, walls: self.walls(of), margin: field.margin };
+        let window = TapWindow { reach, mirror: self.mirror(of), margin: field.margin };
         let views = [&field.samples, &through, &to];
         spread(self.commands, &self.pipelines.distance, &self.grids[of].blocks, window, views)?;
         self.grids[of].free.push(through);
@@ -339,11 +343,11 @@ impl Fields for PaddedFields<'_> {
         let density = self.refined_for(density, of)?;
         self.stage("sheets", 3, of);
         let numbers = &sheets.numbers;
-        let walls = self.walls(of);
+        let mirror = self.mirror(of);
         let (shares, certainty) = (self.take(of), self.take(of));
         let views = [&density.samples, &shares, &certainty];
         let blocks = &self.grids[of].blocks;
-        make_sheets(self.commands, &self.pipelines.sheets, blocks, numbers, walls, views)?;
+        make_sheets(self.commands, &self.pipelines.sheets, blocks, numbers, mirror, views)?;
         let margin = density.margin + numbers.step;
         self.give(density);
         let padded = |samples| Rc::new(PaddedSamples { samples, margin, of });

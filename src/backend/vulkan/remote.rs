@@ -13,7 +13,7 @@ use crate::brick::{
 };
 use crate::field::distance::vulkan::{full_bricks, full_bricks_of};
 use crate::field::indicator::{PageRule, indicate};
-use crate::grid::{CellBox, MortonKey};
+use crate::grid::{CellBox, Mirror, MortonKey};
 use crate::vulkan::{BufferKind, View, VulkanError};
 
 use super::frame::{DeviceFrame, DeviceState};
@@ -119,7 +119,7 @@ impl RemotePages for DeviceField {
     fn halved(
         &self,
         bins: &[IVec3],
-        walls: Option<CellBox>,
+        mirror: Option<Mirror>,
         factor: Factor,
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)> {
         let infos = self.made(|state, resident| {
@@ -128,7 +128,7 @@ impl RemotePages for DeviceField {
             else {
                 return Ok(None);
             };
-            let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, walls)).collect();
+            let boxes: Vec<CellBox> = bins.iter().map(|&bin| halved_from(bin, mirror)).collect();
             let from = SampleSource::Resident(resident, self.shape);
             let pipeline = &self.frame.pipelines.halve;
             let found: Vec<DeviceFullCells> =
@@ -136,7 +136,7 @@ impl RemotePages for DeviceField {
                     let count = range.len();
                     let pages = pages.part(range.start as u64 * stride, count as u64 * stride);
                     lane.compute.stage("halve", cells.bytes() + pages.bytes());
-                    halve(&mut lane.compute, pipeline, blocks, (walls, factor), [cells, &pages])?;
+                    halve(&mut lane.compute, pipeline, blocks, (mirror, factor), [cells, &pages])?;
                     self.frame.find_full_cells(lane, &pages, count, HALVED)
                 })?;
             let infos = bins.iter().zip(found).map(|(&bin, found)| found.info(MortonKey::of(bin)));

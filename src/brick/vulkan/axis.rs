@@ -3,19 +3,19 @@
 
 use std::sync::Arc;
 
-use crate::grid::CellBox;
+use crate::grid::Mirror;
 use crate::shaders::AxisPush;
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-use super::{DeviceBlocks, wall_bounds};
+use super::{DeviceBlocks, mirror_planes};
 
 /// The cells that an operation reads.
 #[derive(Debug, Clone, Copy)]
 pub struct TapWindow {
     /// The reach of the operation's taps along the axis, in cells.
     pub reach: i32,
-    /// The walls, if there are any; samples beyond them repeat the samples of the outermost cells.
-    pub walls: Option<CellBox>,
+    /// The mirror at walls, if there are any.
+    pub mirror: Option<Mirror>,
     /// The distance, in cells, from a block's faces within which samples are unknown; the operation
     /// increases it by the reach.
     pub margin: i32,
@@ -32,15 +32,15 @@ pub fn along_each_axis(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
-    TapWindow { reach, walls, margin }: TapWindow,
+    TapWindow { reach, mirror, margin }: TapWindow,
     [from, through, to]: [&View; 3],
     further: &[View],
     shift: impl Fn(usize) -> u32,
 ) -> Result<(), VulkanError> {
-    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let [mirror_lo, mirror_hi] = mirror_planes(mirror);
     let reach = reach as u32;
     let mut push =
-        AxisPush { walls_lo, axis: 0, walls_hi, reach, margin: [margin as u32; 3], shift: 0 };
+        AxisPush { mirror_lo, axis: 0, mirror_hi, reach, margin: [margin as u32; 3], shift: 0 };
     for (axis, [from, to]) in (0_usize..).zip([[from, to], [to, through], [through, to]]) {
         push.axis = axis as u32;
         push.shift = shift(axis);

@@ -20,7 +20,7 @@ use bytemuck::{Pod, Zeroable};
 use glam::IVec3;
 
 use super::PageShape;
-use crate::grid::{BIN, CellBox};
+use crate::grid::{BIN, CellBox, Mirror};
 use crate::shaders::GatherPush;
 use crate::vulkan::{ALIGNMENT, Batch, ComputePipeline, View, VulkanError};
 
@@ -204,6 +204,13 @@ pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
     walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| {
         [walls.lo.to_array(), (walls.hi - 1).to_array()]
     })
+}
+
+/// The lower and the upper planes of a mirror, in halves of a cell, for shaders. Without a mirror,
+/// they are farther away than any cell of a grid.
+pub fn mirror_planes(mirror: Option<Mirror>) -> [[i32; 3]; 2] {
+    const NOWHERE: i32 = 1 << 25;
+    mirror.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |mirror| mirror.planes().map(|at| at.to_array()))
 }
 
 #[cfg(test)]

@@ -6,11 +6,11 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 
 use crate::brick::{Factor, PageInfo, PageShape};
-use crate::grid::{BIN, CellBox, MortonKey};
+use crate::grid::{BIN, Mirror, MortonKey};
 use crate::shaders::{FullCellsPush, HalvePush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-use super::{DeviceBlocks, PAGE_WORDS, page_words, wall_bounds};
+use super::{DeviceBlocks, PAGE_WORDS, mirror_planes, page_words};
 
 /// The full cells of a page, laid out as in `full_cells.wgsl`.
 #[derive(Debug, Clone, Copy, Pod, Zeroable)]
@@ -64,11 +64,11 @@ pub fn halve(
     batch: &mut Batch,
     pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
-    (walls, factor): (Option<CellBox>, Factor),
+    (mirror, factor): (Option<Mirror>, Factor),
     [field, pages]: [&View; 2],
 ) -> Result<(), VulkanError> {
-    let [walls_lo, walls_hi] = wall_bounds(walls);
-    let push = HalvePush { walls_lo, factor: factor.steps(), walls_hi };
+    let [mirror_lo, mirror_hi] = mirror_planes(mirror);
+    let push = HalvePush { mirror_lo, factor: factor.steps(), mirror_hi };
     let views = [&blocks.blocks, field, pages].map(Clone::clone);
     batch.dispatch(pipeline, &views, &push, [pipeline.groups(PAGE_WORDS), blocks.count, 1])
 }

@@ -4,7 +4,7 @@ use glam::IVec3;
 use multiversion::multiversion;
 
 use crate::brick::Block;
-use crate::grid::CellBox;
+use crate::grid::{CellBox, Mirror};
 
 use super::{UNIT, Weights};
 
@@ -15,9 +15,8 @@ pub trait BlurSample: Copy + Default + PartialEq {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. In the input, samples beyond `walls` must
-/// repeat the edge cells. In the result, samples beyond `walls` repeat the edge cells of the
-/// result, for the next filter.
+/// Blurs `block` with `weights` along x, then y, then z. The input must be mirrored by `mirror`; the
+/// result is mirrored, too, for the next filter.
 ///
 /// The result is smaller than the input by the weights' reach on every side: it has exactly the
 /// cells whose whole neighbourhood is in the input.
@@ -25,20 +24,19 @@ pub trait BlurSample: Copy + Default + PartialEq {
 /// # Panics
 /// If the block is too small for one cell to remain, which is a bug in the recipe or in the
 /// gathering of blocks.
-pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, walls: Option<CellBox>) -> Block<T> {
-    blur_while(block, weights, walls, |_| true).expect("nothing stops it")
+pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, mirror: Option<Mirror>) -> Block<T> {
+    blur_while(block, weights, mirror, |_| true).expect("nothing stops it")
 }
 
 /// Blurs like [`blur`], but passes the block to `goes_on` after each axis, and returns `None` as
-/// soon as `goes_on` returns false. In the block that `goes_on` receives, edge cells are not
-/// repeated yet.
+/// soon as `goes_on` returns false. The block that `goes_on` receives is not mirrored yet.
 ///
 /// # Panics
 /// If the block is too small for one cell to remain.
 pub fn blur_while<T: BlurSample>(
     mut block: Block<T>,
     weights: &Weights,
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
     goes_on: impl Fn(&Block<T>) -> bool,
 ) -> Option<Block<T>> {
     let mut spare = Vec::new();
@@ -49,8 +47,8 @@ pub fn blur_while<T: BlurSample>(
             return None;
         }
     }
-    if let Some(walls) = walls {
-        block.repeat_edges(walls);
+    if let Some(mirror) = mirror {
+        block.mirror(mirror);
     }
     Some(block)
 }
@@ -66,16 +64,16 @@ pub fn blur_of_few(
     full: &[IVec3],
     weights: &Weights,
     cells: CellBox,
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
 ) -> Block {
     let mut blurred = blurred_part(block, full, weights, cells);
-    if let Some(walls) = walls {
-        blurred.repeat_edges(walls);
+    if let Some(mirror) = mirror {
+        blurred.mirror(mirror);
     }
     blurred
 }
 
-/// Blurs like [`blur_of_few`], but does not repeat edge cells. Computes only the cells that nonzero
+/// Blurs like [`blur_of_few`], but does not mirror the result. Computes only the cells that nonzero
 /// samples reach; all other cells are 0.
 fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights, cells: CellBox) -> Block {
     let reach = weights.reach();
@@ -250,12 +248,12 @@ mod tests {
                     block.samples_mut()[index] = 9973 * (number as u16 + 1);
                 }
                 let cells_of_few = block.full_cells(count).expect("no more than these are full");
-                let walls = Some(CellBox { lo: cells.lo + 9, hi: cells.hi });
+                let mirror = Some(Mirror::new(CellBox { lo: cells.lo + 9, hi: cells.hi }));
                 let inner = cells.grown(-weights.reach(), -weights.reach());
-                let few = |cells| blur_of_few(&block, &cells_of_few, &weights, cells, walls);
+                let few = |cells| blur_of_few(&block, &cells_of_few, &weights, cells, mirror);
                 assert_eq!(block.full_cells(count.saturating_sub(1)).is_none(), count > 0);
                 let (all, part) = (few(inner), few(inner.grown(-3, -5)));
-                let dense = blur(block.clone(), &weights, walls);
+                let dense = blur(block.clone(), &weights, mirror);
                 assert_eq!(part, dense.part(part.cells()), "{count} samples");
                 assert_eq!(all, dense, "{count} samples");
             }

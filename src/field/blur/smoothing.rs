@@ -2,7 +2,7 @@
 
 use crate::brick::Block;
 use crate::field::indicator::IndicatorKind;
-use crate::grid::CellBox;
+use crate::grid::Mirror;
 use crate::grid::units::Sigma;
 
 use super::{BlurSample, FieldCount, Filter, Weights, blur};
@@ -32,8 +32,8 @@ impl Smoothing {
 
     /// Smooths a block; the result is smaller by the smoothing's [`halo`](Filter::halo) on every
     /// side.
-    pub fn apply<T: BlurSample>(&self, dif: Block<T>, walls: Option<CellBox>) -> Block<T> {
-        self.filters.iter().fold(dif, |block, weights| blur(block, weights, walls))
+    pub fn apply<T: BlurSample>(&self, dif: Block<T>, mirror: Option<Mirror>) -> Block<T> {
+        self.filters.iter().fold(dif, |block, weights| blur(block, weights, mirror))
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use crate::brick::vulkan::{DeviceBlocks, TapWindow, along_each_axis};
-use crate::grid::CellBox;
+use crate::grid::Mirror;
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
 use super::Weights;
@@ -22,11 +22,11 @@ pub fn blur(
     pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     (weights, uploaded): (&Weights, &View),
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
     margin: i32,
     views: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let window = TapWindow { reach: weights.reach(), walls, margin };
+    let window = TapWindow { reach: weights.reach(), mirror, margin };
     let further = std::slice::from_ref(uploaded);
     along_each_axis(batch, pipeline, blocks, window, views, further, |axis| weights.shift(axis))
 }

@@ -9,7 +9,7 @@
 use glam::IVec3;
 
 use crate::brick::{Block, DifField, full_bits, fullness};
-use crate::grid::{BLOCK, CellBox};
+use crate::grid::{BLOCK, CellBox, Mirror};
 use crate::system::control::Meter;
 
 use super::histogram::Histogram;
@@ -25,8 +25,8 @@ pub struct BlurredSamples<'a> {
     pub dif: &'a DifField,
     /// The cells to examine, if all other cells are their periodic images.
     pub own: Option<CellBox>,
-    /// The walls; edge cells are repeated beyond them.
-    pub walls: Option<CellBox>,
+    /// The mirror at walls, if there are any.
+    pub mirror: Option<Mirror>,
     /// The maximum distance, in cells, from a particle's cell to a sample that the particle
     /// changes.
     pub reach: i32,
@@ -35,7 +35,7 @@ pub struct BlurredSamples<'a> {
     /// The standard deviation of a smoothed particle, in cells.
     pub width: f64,
     /// Smooths a block.
-    pub apply: &'a (dyn Fn(Block, Option<CellBox>) -> Block + Sync),
+    pub apply: &'a (dyn Fn(Block, Option<Mirror>) -> Block + Sync),
     /// Counts the examined parts. After a cancel, no more interior cells are found.
     pub meter: &'a Meter<'a>,
 }
@@ -84,10 +84,10 @@ impl<'a> Interior<'a> {
             return;
         }
         blurred.meter.add(1);
-        let walls = blurred.walls;
+        let mirror = blurred.mirror;
         let (seen, reach) = (dilation + erosion, blurred.halo);
         let margin = seen.max(reach);
-        let wide = blurred.dif.gather_within(cells.grown(margin, margin), walls);
+        let wide = blurred.dif.gather_mirrored(cells.grown(margin, margin), mirror);
         let [_, width, slab] = wide.strides();
         let mut rows: Vec<u128> =
             fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
@@ -113,7 +113,7 @@ impl<'a> Interior<'a> {
         if near.is_empty() {
             return;
         }
-        let field = (blurred.apply)(wide.part(near.grown(reach, reach)), walls);
+        let field = (blurred.apply)(wide.part(near.grown(reach, reach)), mirror);
         for (y, z, bits) in interior {
             let first = field.index(IVec3::new(near.lo.x, y, z));
             histogram.add(

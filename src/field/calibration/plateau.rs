@@ -17,7 +17,6 @@ use crate::brick::{DifField, equal_steps};
 use crate::field::blur::{Filter, Smoothing, blur};
 use crate::field::distance::{BULK_GAIN, DistanceFilters};
 use crate::field::indicator::{GHOST_LAYER, SampledDif, WideCells};
-use crate::field::recipe::walls_at;
 use crate::grid::CellBox;
 use crate::grid::units::{FULL, Isovalue};
 use crate::system::control::Meter;
@@ -92,12 +91,12 @@ impl Plateau {
         let nominal = Self::nominal(frame.facts.spacing_cells_or_one());
         let blurred = BlurredSamples {
             dif: frame.wide(distances.level),
-            own: walls_at(distances.level, frame.facts.own_cells()),
-            walls: walls_at(distances.level, frame.facts.walls()),
+            own: frame.facts.own_cells().map(|own| own.in_wider_cells(distances.level)),
+            mirror: frame.facts.mirror().map(|mirror| mirror.in_wider_cells(distances.level)),
             reach: GHOST_LAYER,
             halo: narrowest.weights.reach(),
             width: f64::from(narrowest.spacings) / 4096.0 * spacing,
-            apply: &|block, walls| blur(block, &narrowest.weights, walls),
+            apply: &|block, mirror| blur(block, &narrowest.weights, mirror),
             meter,
         };
         let [narrow, wide] = GAPS.map(|(gap, _)| Interior::new(&blurred, gap * spacing));
@@ -121,7 +120,7 @@ impl Plateau {
         let blurred = BlurredSamples {
             dif,
             own: frame.facts.own_cells(),
-            walls: frame.facts.walls(),
+            mirror: frame.facts.mirror(),
             reach: 0,
             halo: smoothing.halo(),
             width: smoothing.width(),

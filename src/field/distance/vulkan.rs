@@ -5,9 +5,9 @@ use std::sync::Arc;
 use bytemuck::{Pod, Zeroable};
 use glam::{IVec3, UVec3};
 
-use crate::brick::vulkan::{DeviceBlocks, TapWindow, along_each_axis, wall_bounds};
+use crate::brick::vulkan::{DeviceBlocks, TapWindow, along_each_axis, mirror_planes};
 use crate::grid::units::Isovalue;
-use crate::grid::{BIN, CellBox};
+use crate::grid::{BIN, CellBox, Mirror};
 use crate::shaders::{
     DepthsOfPush, FullBricksPush, JoinPush, MixBothPush, OutlyingPush, ProbePush, QuotientPush,
     RefinePush,
@@ -251,11 +251,11 @@ pub fn refine(
     [wide, blocks]: [&DeviceBlocks; 2],
     within: &View,
     level: u32,
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
     [from, to]: [&View; 2],
 ) -> Result<(), VulkanError> {
-    let [walls_lo, walls_hi] = wall_bounds(walls);
-    let push = RefinePush { walls_lo, level, walls_hi };
+    let [mirror_lo, mirror_hi] = mirror_planes(mirror);
+    let push = RefinePush { mirror_lo, level, mirror_hi };
     let views = [&blocks.blocks, &wide.blocks, within, from, to].map(Clone::clone);
     batch.dispatch(&pipelines.refine, &views, &push, blocks.run_groups(&pipelines.refine))
 }

@@ -54,7 +54,7 @@ const LEAST_WIDTH: f64 = 2.5;
 ///
 /// The outermost layer of cells in a tank extends to the wall, so it is between 0.5 and 1.5 cells
 /// thick, and holds as many times the particles of a whole cell. What particles add to its samples
-/// is divided by the thickness, because filters repeat these samples beyond the wall.
+/// is divided by the thickness, because filters mirror these samples at the wall.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CloudWalls {
     /// The cells within the walls.

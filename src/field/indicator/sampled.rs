@@ -88,14 +88,14 @@ impl SampledDif {
         let spacing = self.facts.spacing_cells_or_one();
         let amount =
             |level: u32| f64::from(Amount::of_spacing(spacing / f64::from(1 << level)).steps());
-        let (mut finer, mut walls) = (Arc::clone(&self.dif), self.facts.walls());
+        let (mut finer, mut mirror) = (Arc::clone(&self.dif), self.facts.mirror());
         let levels = 0..self.wide_cells().level + self.more_levels;
         let halved = levels.map(|level| {
             // At levels beyond wide cells, samples deep in the fluid keep their value.
             let is_wide = level >= self.wide_cells().level;
             let factor = if is_wide { 0.125 } else { amount(level + 1) / amount(level) };
-            finer = Arc::new(finer.halved(walls, factor, self.scratch.as_deref()));
-            walls = walls.map(|walls| walls.in_wider_cells(1));
+            finer = Arc::new(finer.halved(mirror, factor, self.scratch.as_deref()));
+            mirror = mirror.map(|mirror| mirror.in_wider_cells(1));
             Arc::clone(&finer)
         });
         halved.collect()

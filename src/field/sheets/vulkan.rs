@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use crate::brick::vulkan::{DeviceBlocks, wall_bounds};
-use crate::grid::CellBox;
+use crate::brick::vulkan::{DeviceBlocks, mirror_planes};
+use crate::grid::Mirror;
 use crate::shaders::{BlendPush, LoosePush, SheetsPush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
@@ -35,15 +35,15 @@ pub fn sheets(
     pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     numbers: &SheetConstants,
-    walls: Option<CellBox>,
+    mirror: Option<Mirror>,
     [density, shares, certainty]: [&View; 3],
 ) -> Result<(), VulkanError> {
-    let [walls_lo, walls_hi] = wall_bounds(walls);
+    let [mirror_lo, mirror_hi] = mirror_planes(mirror);
     let SheetConstants { torn, .. } = numbers;
     let push = SheetsPush {
-        walls_lo,
+        mirror_lo,
         step: numbers.step,
-        walls_hi,
+        mirror_hi,
         slope: numbers.slope,
         bend: numbers.bend,
         plateau: numbers.plateau,

@@ -10,7 +10,6 @@ use rayon::prelude::*;
 use crate::brick::{Bins, Block, DifField, PageInfo, PageSamples, Pages, coarsened};
 use crate::field::distance::{refined, wide_cells};
 use crate::field::indicator::{Amount, CloudWalls, Clouds, SampledDif, WideCells};
-use crate::field::recipe::walls_at;
 use crate::grid::{BIN, CellBox};
 
 use super::{Octaves, SIDE};
@@ -225,7 +224,7 @@ impl SizedClouds {
 
     fn gathered(&self, octave: usize, level: u32, cells: CellBox, part: CloudPart) -> Block {
         let wanted = self.plateau(level);
-        let finest_walls = self.layers[0].volume.facts.walls();
+        let finest = self.layers[0].volume.facts.mirror();
         let mut sum = Block::zero(cells);
         // A requested cell is as wide as 2^`wide` cells of the finest octave.
         let octave = self.first + octave;
@@ -245,14 +244,14 @@ impl SizedClouds {
                 (field.wide(own).gather(cells), own)
             } else {
                 let finer = of - wide;
-                let walls = walls_at(of, finest_walls);
-                let coarse = field.dif.gather_within(wide_cells(finer, cells), walls);
+                let mirror = finest.map(|mirror| mirror.in_wider_cells(of));
+                let coarse = field.dif.gather_mirrored(wide_cells(finer, cells), mirror);
                 (refined(&coarse, finer, cells), 0)
             };
             add(&mut sum, &block, wanted / self.plateau(own));
         }
-        if let Some(walls) = walls_at(wide, finest_walls) {
-            sum.repeat_edges(walls);
+        if let Some(mirror) = finest {
+            sum.mirror(mirror.in_wider_cells(wide));
         }
         sum
     }

@@ -14,6 +14,12 @@
 //! continues straight into the solid. Afterwards, the field is limited to the distance from the
 //! solid minus the solid's offset.
 //!
+//! Only thick fluid is continued. A thin film on a solid would otherwise look like the surface of a
+//! half space, whose level changes with the film's density. Without a continuation, the film is a
+//! sheet (see [`sheets`](super::sheets)), and stays whole when it stretches. Fluid is thick if the
+//! density under a Gaussian of 1.45 d exceeds 0.4 to 0.55 of the plateau anywhere within 2 d, or if
+//! the mean under the Gaussian of 2.5 d exceeds 0.65 to 0.85 of the plateau.
+//!
 //! Each cell has its own sums, whose terms are always added in the same order, so the result does
 //! not depend on the block in which it is computed.
 
@@ -23,8 +29,8 @@ use glam::IVec3;
 
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
-use crate::field::distance::{NONE, ZERO};
-use crate::grid::CellBox;
+use crate::field::distance::{NONE, Ramp, ZERO, spread};
+use crate::grid::{CellBox, Mirror};
 
 use fit::LinearFit;
 
@@ -42,6 +48,18 @@ const MEAN_CUT: f64 = 2.2;
 const GAIN: u32 = 2;
 /// The share of a cell whose cloud lies completely outside the solid.
 pub const WHOLE: u16 = 1 << 15;
+/// The standard deviation, in spacings, of the Gaussian that shows where the fluid is thick.
+const THICK: f64 = 1.45;
+/// The cut-off of this Gaussian, in standard deviations.
+const THICK_CUT: f64 = 1.5;
+/// Fluid counts as thick if it is thick anywhere within this distance, in spacings.
+const THICK_NEAR: f64 = 2.0;
+/// The range of this Gaussian's density in which fluid begins to count as thick, in 32768ths of the
+/// plateau.
+const IS_THICK: Ramp = Ramp::new(13_107, 4_915);
+/// Fluid is also thick if its mean density is high, even deep in a solid. This is the range of the
+/// mean in which it begins to count as thick, in 32768ths of the plateau.
+const IS_THICK_IN_MEAN: Ramp = Ramp::new(21_299, 6_554);
 /// A mean needs at least this share of its Gaussian outside the solid; otherwise, it is 0.
 const MEAN_LEAST: u16 = WHOLE >> 7;
 /// Number of steps per cell edge in the distances from which shares are computed.
@@ -54,6 +72,9 @@ pub const FARTHEST: i16 = 3 * 2048;
 pub struct SolidFill {
     fit: Weights,
     mean: Weights,
+    thick: Weights,
+    /// `THICK_NEAR`, in cells.
+    near: i32,
 }
 
 impl SolidFill {
@@ -64,14 +85,18 @@ impl SolidFill {
             let variance = (width / edge).powi(2).max(0.35);
             Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32)
         };
-        let fit = gaussian(FIT, FIT_CUT);
-        Self { fit, mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN) }
+        Self {
+            fit: gaussian(FIT, FIT_CUT),
+            mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN),
+            thick: gaussian(THICK, THICK_CUT).gaining(GAIN),
+            near: (THICK_NEAR / edge).round().max(1.0) as i32,
+        }
     }
 
     /// The distance, in cells, within which other cells affect a cell's density.
     #[must_use]
     pub fn reach(&self) -> i32 {
-        self.fit.reach().max(self.mean.reach())
+        self.fit.reach().max(self.mean.reach()).max(self.thick.reach() + self.near)
     }
 
     /// Memory, in bytes, that is needed to continue clouds into solids on `cells`, which include
@@ -79,25 +104,26 @@ impl SolidFill {
     #[must_use]
     pub fn bytes(&self, cells: CellBox) -> u64 {
         // The blocks that exist at once: clouds, two blocks of distances, shares, the usable cells,
-        // their density and a copy of it for its maximum, two means with a buffer each for
-        // smoothing, and the result.
-        let blocks = 13 * cells.volume() * size_of::<u16>();
+        // their density and a copy of it for its maximum, the density that shows thick fluid, two
+        // means with a buffer each for smoothing, and the result.
+        let blocks = 14 * cells.volume() * size_of::<u16>();
         let size = cells.size().max(IVec3::ZERO).as_uvec3();
         (blocks + LinearFit::bytes(&self.fit, (size.x * size.y) as usize)) as u64
     }
 
-    /// Returns the samples of `cells`, continued into a solid. `outside` holds the share of each
-    /// cell's cloud that lies outside the solid.
+    /// Returns the samples of `cells`, continued into a solid. `scale` converts smoothed clouds to
+    /// fractions of the plateau, as in [`Bulk`](super::distance::Bulk). `outside` holds the share of
+    /// each cell's cloud that lies outside the solid.
     ///
     /// # Panics
     /// If `clouds` or `outside` does not cover `cells` with a halo of [reach](Self::reach).
     #[must_use]
     pub fn filled(
         &self,
-        clouds: &Block,
+        (clouds, scale): (&Block, u32),
         outside: &Block,
         cells: CellBox,
-        walls: Option<CellBox>,
+        mirror: Option<Mirror>,
     ) -> Block {
         let mut filled = clouds.part(cells);
         let part = outside.part(cells).box_of(|share| share < WHOLE);
@@ -114,6 +140,8 @@ impl SolidFill {
             *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - USABLE)) as u16;
         }
         let mut fit = LinearFit::new(&self.fit, &dense, &usable, part);
+        let see = self.thick.reach() + self.near;
+        let thick = spread(blur(clouds.part(part.grown(see, see)), &self.thick, None), self.near);
         let density = blur(clouds.part(around), &self.mean, None);
         let share = blur(outside.part(around), &self.mean.clone().gaining(0), None);
         for cell in places(part) {
@@ -123,21 +151,25 @@ impl SolidFill {
             }
             let index = filled.index(cell);
             let own = u64::from(filled.samples()[index]);
+            let fraction =
+                |smooth: u64| ((smooth * u64::from(scale)) >> 14).min(u16::MAX.into()) as u16;
+            let share = u64::from(share.at(cell));
+            let density = u64::from(density.at(cell)) << (15 - GAIN);
+            let mean = if share < u64::from(MEAN_LEAST) { 0 } else { density / share };
             let sample = match fit.at(cell) {
                 Some(fitted) => {
                     let usable = u64::from(usable.at(cell));
                     (own * usable + fitted * (u64::from(WHOLE) - usable)) >> 15
                 }
-                None => {
-                    let share = u64::from(share.at(cell));
-                    let density = u64::from(density.at(cell)) << (15 - GAIN);
-                    let mean = if share < u64::from(MEAN_LEAST) { 0 } else { density / share };
-                    own + ((mean * u64::from(missing)) >> 15)
-                }
+                None => own + ((mean * u64::from(missing)) >> 15),
             };
-            filled.samples_mut()[index] = sample.min(u16::MAX.into()) as u16;
+            let is_thick = IS_THICK.of(fraction(thick.at(cell).into()));
+            let in_mean = IS_THICK_IN_MEAN.of(fraction(mean << GAIN));
+            let weight = u64::from(is_thick.max(in_mean));
+            let sample = (own * (4096 - weight) + sample.min(u16::MAX.into()) * weight) >> 12;
+            filled.samples_mut()[index] = sample as u16;
         }
-        walls.into_iter().for_each(|walls| filled.repeat_edges(walls));
+        mirror.into_iter().for_each(|mirror| filled.mirror(mirror));
         filled
     }
 }
@@ -199,6 +231,9 @@ pub fn cut(field: &mut Block, distances: &Block<i16>, offset: i32, most: i16) {
 mod tests {
     use super::*;
 
+    /// The factor for a plateau of 4096.
+    const SCALE: u32 = (1 << 29) / (4096 << GAIN);
+
     #[test]
     fn the_share_outside_a_solid_rises_symmetrically_from_0_to_1() {
         let cells = CellBox { lo: IVec3::ZERO, hi: IVec3::new(101, 1, 1) };
@@ -231,9 +266,9 @@ mod tests {
         for (cloud, share) in clouds.samples_mut().iter_mut().zip(outside.samples()) {
             *cloud = (u32::from(*share) * 4096 / u32::from(WHOLE)) as u16;
         }
-        let filled = fill.filled(&clouds, &outside, cells, None);
+        let filled = fill.filled((&clouds, SCALE), &outside, cells, None);
         assert!(filled.samples().iter().all(|sample| sample.abs_diff(4096) < 80));
-        let empty = fill.filled(&Block::zero(around), &outside, cells, None);
+        let empty = fill.filled((&Block::zero(around), SCALE), &outside, cells, None);
         assert!(empty.samples().iter().all(|&sample| sample == 0));
     }
 }

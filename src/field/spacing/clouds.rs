@@ -17,13 +17,13 @@ pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
         return None;
     }
     let wide = frame.wide_cells();
-    let (field, walls) = (frame.wide(wide.level), frame.facts.walls());
-    let walls = walls.map(|walls| walls.in_wider_cells(wide.level));
+    let (field, mirror) = (frame.wide(wide.level), frame.facts.mirror());
+    let mirror = mirror.map(|mirror| mirror.in_wider_cells(wide.level));
     let mut bins: Vec<IVec3> = field.keys().map(|key| key.coord()).collect();
     bins.sort_by_key(|bin| quick_hash(bin.as_dvec3().to_array()));
     let (mut held, mut around) = (0.0, 0.0);
     for bin in bins.into_iter().take(BINS) {
-        let block = field.gather_within(CellBox::cube(bin, BIN).grown(1, 1), walls);
+        let block = field.gather_mirrored(CellBox::cube(bin, BIN).grown(1, 1), mirror);
         let size = block.cells().size().as_usizevec3();
         let samples = block.samples();
         let at = |x: usize, y: usize, z: usize| f64::from(samples[x + size.x * (y + size.y * z)]);

@@ -48,8 +48,7 @@ pub fn contour<L: Level>(
         let first = field.index(tile.corner(block));
         for (axis, step) in strides.into_iter().enumerate() {
             ends.extend(bits(tile.crossed(axis)).map(|bit| {
-                // Beyond a wall, the field repeats the edge cell, so the ghost point has the value
-                // of its mirror image.
+                // A ghost point beyond a wall has the value of its mirror image.
                 let cell = cell_of_bit(bit).as_usizevec3();
                 let lower = first + cell.x + cell.y * strides[1] + cell.z * strides[2];
                 level.ends(samples[lower], samples[lower + step])

@@ -229,7 +229,7 @@ pub fn mixed_block_mesh(
         for (cell, axis) in level.edges(&tile) {
             let cell = place * tile_edge + cell;
             let [lower, upper] = [cell, cell + IVec3::AXES[axis]].map(|cell| mixed.of(cell));
-            // Beyond a wall, the field repeats the cell that is inside the wall.
+            // A ghost point beyond a wall has the value of its mirror image inside the wall.
             let ends = match (lower.is_within_walls, upper.is_within_walls) {
                 (true, false) => [lower.sample; 2],
                 (false, true) => [upper.sample; 2],

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::brick::vulkan::{DeviceBlocks, GROUP_ROW, wall_bounds};
+use crate::brick::vulkan::{DeviceBlocks, GROUP_ROW, mirror_planes, wall_bounds};
 use crate::grid::units::Isovalue;
-use crate::grid::{BLOCK, CellBox, TILE};
+use crate::grid::{BLOCK, CellBox, Mirror, TILE};
 use crate::shaders::{BasesPush, EmitPush, SignsPush};
 use crate::surface::mesh::Tile;
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
@@ -120,6 +120,7 @@ pub fn contour(
     outputs: &Outputs,
 ) -> Result<(), VulkanError> {
     let [walls_lo, walls_hi] = wall_bounds(walls);
+    let [mirror_lo, mirror_hi] = mirror_planes(walls.map(Mirror::new));
     let Outputs { signs, lengths, slots, tallies, groups, tiles, ends, falls, room } = outputs;
     let all = |views: &[&View]| views.iter().copied().cloned().collect::<Vec<_>>();
     batch.dispatch(
@@ -139,7 +140,7 @@ pub fn contour(
     batch.dispatch_as(
         &pipelines.emit,
         &all(&[&blocks.blocks, field, signs, slots, tallies, tiles, ends, falls]),
-        &EmitPush { walls_lo, blocks: blocks.count, walls_hi, normals: normals.into() },
+        &EmitPush { mirror_lo, blocks: blocks.count, mirror_hi, normals: normals.into() },
         groups,
     )
 }
