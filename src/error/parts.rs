@@ -25,7 +25,7 @@ pub enum PartsError {
         of: u32,
     },
     /// An output that cannot have a folder of parts next to it.
-    #[error("{}: the output of a mesh in parts must be a regular file", .0.display())]
+    #[error("{}: to make a mesh in parts, the output must be a regular file", .0.display())]
     NoFile(PathBuf),
     /// The plan does not exist yet.
     #[error("{}: there is no plan yet; make the plan first", .0.display())]

@@ -127,8 +127,8 @@ impl SettingConflict {
             ),
             (Conflict::Sampled, _) => {
                 format!(
-                    "{setting} cannot be changed after the particles were sampled; sample or pack \
-                     them again"
+                    "{setting} cannot be changed once the particles have been sampled; sample or \
+                     pack them again"
                 )
             }
             (Conflict::OnDevice, _) => {

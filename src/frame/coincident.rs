@@ -90,7 +90,7 @@ impl CoincidentCounts {
 /// Returns all records that occur more than once, and a few others.
 fn suspects(records: &[u64]) -> Vec<u64> {
     let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
-    // A product with the golden ratio spreads a difference in any bit to the high bits.
+    // Multiplying by the golden ratio spreads a difference in any bit to the high bits.
     let bit = |record: u64| {
         let number = record.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> (64 - BITS);
         ((number >> 6) as usize, 1 << (number & 63))

@@ -20,7 +20,7 @@ const NUMBER: u64 = 4;
 ///
 /// A vector or a list of numbers is one attribute. An indexed string per point is a label, unless
 /// there are too many different strings. A point whose index is -1 has the empty string. Positions
-/// are not divided by the weight w, which is 1 for all points outside curves.
+/// are not divided by the weight w, which is 1 for all points that do not belong to a curve.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] for a version other than 5 and for strings that are not indexed,

@@ -202,8 +202,8 @@ impl Series {
         Timeline::of(frames, self.fps).frames.into_iter().map(|frame| frame.seconds).collect()
     }
 
-    /// The reason why the lists do not use the times of `frames`, which must be sorted by number.
-    /// `None` if they use them, or if there are none.
+    /// The reason why the lists ignore the times of `frames`; `None` if the lists use the times, or
+    /// if the frames have no times. The frames must be sorted by number.
     #[must_use]
     pub fn unused_times(&self, frames: &[SeriesFrame]) -> Option<UnusedTimes> {
         Timeline::unused_times(frames, self.fps)

@@ -55,10 +55,10 @@ pub enum KindFault {
     },
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
     #[error(
-        "colour {name:?} has the value {greatest} and looks like bytes from 0 to 255, but the \
-         calibration frame (usually the first) seems to have colours from 0 to 1; use the same \
-         range in all frames, or do not transfer the attribute; if the range is 0 to 255 in all \
-         frames, begin with a frame that has a value above 16"
+        "colour {name:?} contains the value {greatest}, so its range seems to be 0 to 255, but in \
+         the calibration frame (usually the first) it seems to be 0 to 1; use the same range in \
+         all frames, or do not transfer the attribute; if all frames use 0 to 255, begin with a \
+         frame that has brighter colours (a value above 16)"
     )]
     Scale {
         /// The name of the attribute.

@@ -38,7 +38,10 @@ pub enum SelectionFault {
         components: usize,
     },
     /// A text that cannot be compared with numbers.
-    #[error("cannot select particles by {name:?}: its values are numbers, got {value:?}")]
+    #[error(
+        "cannot select particles by {name:?}: its values are numbers, but the condition compares \
+         them with {value:?}"
+    )]
     Text {
         /// The name in the condition.
         name: String,

@@ -24,9 +24,9 @@ pub struct ProgressBars {
 }
 
 impl ProgressBars {
-    /// Starts bars, and returns the notes that print above them. `bytes` is the total size of the
-    /// inputs. The remaining time is estimated from bytes, not from the number of frames, because
-    /// frames differ in size.
+    /// Starts the progress bars, and returns notes that are printed above the bars. `bytes` is the
+    /// total size of the inputs. The remaining time is estimated from bytes, not from the number of
+    /// frames, because frames differ in size.
     pub fn start(mode: ProgressMode, bytes: u64, lanes: usize, notes: Notes) -> (Self, Notes) {
         let wanted = match mode {
             ProgressMode::Auto => io::stderr().is_terminal(),

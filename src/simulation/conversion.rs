@@ -104,8 +104,8 @@ impl Conversion<'_> {
         let mut jobs =
             todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
         if self.settled.get().is_none() {
-            // The first frame is most likely the calibration frame. It is sent after the
-            // calibration, with its open file, and one lane waits for it until then.
+            // The first frame is most likely the calibration frame. After the calibration, it is
+            // sent together with its file, which is already open. One lane waits for it.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames)?;

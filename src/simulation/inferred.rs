@@ -237,7 +237,8 @@ fn of_known_count(files: &[&FrameCandidate], varying: &[usize]) -> Option<KnownC
     })
 }
 
-/// Words before the number of a process. Each process writes one piece of each frame.
+/// Words that precede the number of a process in the name of a file. Each process writes one piece
+/// of each frame.
 const PROCESSES: [&str; 6] = ["rank", "proc", "procs", "process", "processor", "processors"];
 /// Words directly before the number of a frame.
 const FRAMES: [&str; 7] = ["t", "f", "fr", "frame", "step", "time", "it"];

@@ -219,7 +219,7 @@ mod tests {
         let regions = levels.regions([cells].into_iter());
         let volume = |region: &LevelRegion| region.cells.volume() << (3 * region.level);
         let sum: usize = regions.iter().map(volume).sum();
-        // A wide cell that the box cuts belongs to a region as a whole.
+        // If the box cuts a wide cell, the whole cell belongs to a region.
         assert!((cells.volume()..cells.volume() * 102 / 100).contains(&sum));
         assert!(regions.is_sorted_by_key(|region| MortonKey::of(region.first_block())));
         let mut seams = 0;

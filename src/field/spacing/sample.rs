@@ -188,8 +188,8 @@ impl Cubes {
         mixed ^ (mixed >> 16)
     }
 
-    /// The distance within which all neighbours of a particle are in its cube; `None` if the
-    /// particle is not in the middle third of the cube along every axis.
+    /// The largest distance such that all neighbours within it are in the particle's cube; `None`
+    /// if the particle is not in the middle third of the cube along every axis.
     pub fn shown_around(&self, position: [f64; 3]) -> Option<f64> {
         let of_axis = |c: &f64| {
             // Coordinate 0, where floors and planes often are, is in the middle of a cube.

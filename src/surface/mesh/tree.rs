@@ -23,7 +23,7 @@ pub enum Side {
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 pub enum CompareError {
     /// No triangle has an area.
-    #[error("the {} has no triangle with a nonzero area", .0.name())]
+    #[error("the {} has no triangles, or all of them have zero area", .0.name())]
     NoSurface(Side),
     /// A coordinate is not finite, or so large that its powers overflow.
     #[error(

@@ -404,7 +404,8 @@ impl<'a> EditableMesh<'a> {
         for incident in [ring[0], ring[last]] {
             self.triangles[incident.triangle as usize] = [NONE; 3];
         }
-        // A border vertex keeps its first triangle, or takes the triangle that replaces it.
+        // A border vertex keeps its first triangle. If another triangle replaces it, the vertex
+        // takes the replacement.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
             let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);

@@ -16,7 +16,7 @@ use crate::surface::mesh::{Tile, bits, cell_of_bit};
 use super::StitchedSurface;
 use super::coarse::CoarseMesh;
 
-/// Number of cells along each axis: the cells of a block, and one layer of the upper blocks.
+/// Number of cells along each axis: the cells of a block, and one layer of cells of the next block.
 const EDGE: usize = BLOCK as usize + 1;
 
 /// Approximate ratio of triangles to vertices of a closed surface.
