@@ -69,8 +69,8 @@ fn filter_run(number_of_block: u32, number: u32) {
     // The mirrors along this axis, relative to the block. Cells that are not wanted can have taps
     // beyond the block.
     let last = i32(block.size[push.axis]) - 1;
-    let first = 2 * block.lo[push.axis];
-    let mirrors = vec2(push.mirror_lo[push.axis], push.mirror_hi[push.axis]) - first;
+    let mirrors = vec2(push.mirror_lo[push.axis], push.mirror_hi[push.axis])
+        - 2 * block.lo[push.axis];
     let reach = i32(push.reach);
     let centre = i32(at[push.axis]);
     var run = Run(vec4(first_sum()), vec4(first_sum()), vec4(0u), vec4(0u));

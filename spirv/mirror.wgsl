@@ -7,8 +7,7 @@ fn source_of(cell: i32, lo: i32, hi: i32) -> i32 {
         return cell;
     }
     let period = 2 * (hi - lo);
-    var at = (2 * cell + 1 - lo) % period;
-    at += select(0, period, at < 0);
+    let at = abs(2 * cell + 1 - lo) % period;
     return (min(at, period - at) + lo - 1) >> 1u;
 }
 

@@ -351,7 +351,7 @@ impl<T: Copy + Default> Block<T> {
 
     /// Replaces the samples beyond the planes of `mirror` with their mirror images. Beyond the reach
     /// of the filters, where an image is not in the block, an outermost sample of the block is used
-    /// instead.
+    /// instead. A block that lies completely beyond a plane does not change.
     pub fn mirror(&mut self, mirror: Mirror) {
         let (cells, inside) = (self.cells, mirror.cells());
         let known = inside.intersection(&cells);

@@ -40,10 +40,18 @@ impl FrameFacts {
         self.domain.as_ref().map(Domain::cells)
     }
 
-    /// The mirror at the walls; `None` without walls.
+    /// The mirror at the walls, for filters; `None` without walls.
     #[must_use]
     pub fn mirror(&self) -> Option<Mirror> {
         self.domain.as_ref().map(Domain::mirror)
+    }
+
+    /// The mirror for the field from which the mesh is made. It is at the outer faces of the cells
+    /// within the walls, so a ghost point beyond a wall has the sample of the cell before the wall.
+    /// It differs from [`mirror`](Self::mirror) only in the wider cells of octaves.
+    #[must_use]
+    pub fn mesh_mirror(&self) -> Option<Mirror> {
+        self.walls().map(Mirror::new)
     }
 
     /// The walls at which the mesh ends; the field may extend beyond them.

@@ -49,12 +49,26 @@ impl Mirror {
         CellBox { lo: self.lo >> 1, hi: (self.hi + 1) >> 1 }
     }
 
+    /// Adds to `cells` the cells that appear in them.
+    #[must_use]
+    pub fn with_sources(&self, cells: CellBox) -> CellBox {
+        let mut all = cells;
+        for axis in 0..3 {
+            for cell in cells.lo[axis]..cells.hi[axis] {
+                let source = self.source(axis, cell);
+                all.lo[axis] = all.lo[axis].min(source);
+                all.hi[axis] = all.hi[axis].max(source + 1);
+            }
+        }
+        all
+    }
+
     /// The coordinate along `axis` of the cell that appears at the coordinate `cell`, in the first
     /// mirror or, if this cell is also beyond a wall, in a mirror of a mirror.
     #[must_use]
     pub fn source(&self, axis: usize, cell: i32) -> i32 {
         let (lo, length) = (self.lo[axis], self.hi[axis] - self.lo[axis]);
-        let at = (2 * cell + 1 - lo).rem_euclid(2 * length);
+        let at = (2 * cell + 1 - lo).abs() % (2 * length);
         (at.min(2 * length - at) + lo - 1) >> 1
     }
 }

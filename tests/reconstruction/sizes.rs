@@ -245,6 +245,25 @@ fn attributes_of_sized_particles_come_from_nearby_particles() {
 }
 
 #[test]
+fn attributes_at_walls_of_coarse_water_come_from_nearby_particles() {
+    let water = Sized::pools(&[1.0, 4.0]);
+    let radii = water.radii();
+    let height: Vec<f32> = water.positions.iter().map(|[.., z]| *z as f32).collect();
+    let cloud = Cloud::new(&water.positions).with("radius", &radii).with("height", &height);
+    let open = f64::INFINITY;
+    // The floor is at a face of the coarse water's wide cells, or at other places in them.
+    for floor in [0.0, -0.3, -0.6, -1.1, -1.6] {
+        let request = request().attributes(["height"]).domain([-open, -open, floor], [open; 3]);
+        let mesh = request.run(&cloud).unwrap().to_mesh().unwrap();
+        assert_eq!(watertight::defect(&mesh), None);
+        for (position, height) in mesh.positions.iter().zip(&mesh.attributes[0].values) {
+            let away = f64::from(*height) - position[2];
+            assert!(away.abs() < 6.0, "floor at {floor}: {height} at {position:?}");
+        }
+    }
+}
+
+#[test]
 fn scaled_radii_are_corrected_by_the_density_of_the_fluid() {
     let water = Sized::pools(&[1.0, 2.0]);
     let radii: Vec<f32> = water.sizes.iter().map(|size| 0.3 * size).collect();

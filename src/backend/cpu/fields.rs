@@ -131,7 +131,7 @@ pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
         .min(f64::from(i16::MAX)) as i16;
     let (grid, periodic, step) = (&facts.grid, facts.periodic.as_ref(), spacing / UNITS);
     let mut distances = solid.distances(grid, periodic, 0, field.cells(), step, most);
-    facts.mirror().into_iter().for_each(|mirror| distances.mirror(mirror));
+    facts.mesh_mirror().into_iter().for_each(|mirror| distances.mirror(mirror));
     cut(field, &distances, offset.round() as i32, most);
 }
 

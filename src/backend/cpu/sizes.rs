@@ -289,7 +289,8 @@ impl<'a> SizedField<'a> {
         for drops in drops {
             field = self.with_drops(field, &drops);
         }
-        self.mirror(0).into_iter().for_each(|mirror| field.mirror(mirror));
+        let mirror = self.clouds.octave(0).facts.mesh_mirror();
+        mirror.into_iter().for_each(|mirror| field.mirror(mirror));
         let solid = self.solid.as_deref().filter(|solid| self.is_at(solid, cells));
         solid.into_iter().for_each(|solid| cut_by(solid, self.clouds.octave(0), &mut field));
         field
@@ -326,7 +327,13 @@ impl<'a> SizedField<'a> {
             self.make(surfaces, octave + 1, cells);
             let OctaveSurface { calm, fine, bulk } =
                 surfaces[octave + 1].as_ref().expect("it was made");
-            [calm, fine, bulk].map(|field| finer_spacings(refined(field, 1, wide)))
+            let mirror = self.mirror(octave as u32 + self.distances(octave).level);
+            [calm, fine, bulk].map(|field| {
+                let mut field = finer_spacings(refined(field, 1, wide));
+                // The planes of the next octave's mirror may lie elsewhere.
+                mirror.into_iter().for_each(|mirror| field.mirror(mirror));
+                field
+            })
         });
         surfaces[octave] = Some(match (own, next) {
             (Some(own), Some([calm, fine, bulk])) => {
@@ -466,8 +473,9 @@ impl<'a> SizedField<'a> {
         let wide = wide_cells(octave as u32 + level, cells);
         let around = wide.grown(self.averaging.reach(), self.averaging.reach());
         let fractions = self.clouds.fractions(octave).filter(|all| !all.dif.infos().is_empty())?;
-        let fractions = fractions.wide(level).gather(around);
-        let volumes = self.clouds.octave(octave).wide(level).gather(around);
+        let mirror = self.mirror(octave as u32 + level);
+        let fractions = fractions.wide(level).gather_mirrored(around, mirror);
+        let volumes = self.clouds.octave(octave).wide(level).gather_mirrored(around, mirror);
         let [fractions, volumes] = [fractions, volumes].map(|block| self.averaged(octave, block));
         Some(refined(&share(&fractions, &volumes, 0), octave as u32 + level, cells))
     }
