@@ -172,7 +172,7 @@ impl Surfaces<'_> {
 
     /// The mirror at the walls of the field.
     fn mirror(&self) -> Option<Mirror> {
-        self.sampled.facts.mirror()
+        self.sampled.facts.mirror(0)
     }
 
     /// The cells of the mesh: within walls and, for a cut mesh, between the periodic faces.

@@ -180,9 +180,7 @@ impl<S: Scheme> KernelField for Kernels<S> {
     ) -> io::Result<Option<BlockMesh>> {
         let mut field =
             self.field(with.cells(region), region.lo.div_euclid(IVec3::splat(BLOCK)))?;
-        if let Some(walls) = walls {
-            field.mirror(Mirror::new(walls));
-        }
+        field.mirror(walls.map(Mirror::new));
         Ok(block_mesh(&field, region, ZeroLevel, with, walls))
     }
 }

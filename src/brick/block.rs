@@ -349,19 +349,18 @@ impl<T: Copy + Default> Block<T> {
         self.samples.truncate(volume);
     }
 
-    /// Replaces the samples beyond the planes of `mirror` with their mirror images. Beyond the reach
-    /// of the filters, where an image is not in the block, an outermost sample of the block is used
-    /// instead. A block that lies completely beyond a plane does not change.
-    pub fn mirror(&mut self, mirror: Mirror) {
+    /// Replaces the samples beyond the planes of `mirror`, if there is one, with their mirror
+    /// images. Beyond the reach of the filters, where an image is not in the block, an outermost
+    /// sample of the block is used instead. A block that lies completely beyond a plane does not
+    /// change.
+    pub fn mirror(&mut self, mirror: Option<Mirror>) {
+        let Some(mirror) = mirror else { return };
         let (cells, inside) = (self.cells, mirror.cells());
         let known = inside.intersection(&cells);
         if inside.covers(&cells) || known.is_empty() {
             return;
         }
         let source = |axis: usize, cell: i32| {
-            if cell >= inside.lo[axis] && cell < inside.hi[axis] {
-                return cell;
-            }
             mirror.source(axis, cell).clamp(known.lo[axis], known.hi[axis] - 1)
         };
         let CellBox { lo, hi } = cells;
@@ -447,7 +446,7 @@ mod tests {
         let narrow = Mirror::new(CellBox { lo: 2 * walls.lo + 1, hi: 2 * walls.hi });
         for mirror in [Mirror::new(walls), narrow.in_wider_cells(1)] {
             let mut mirrored = block.clone();
-            mirrored.mirror(mirror);
+            mirrored.mirror(Some(mirror));
             for cell in (0..cells.volume()).map(|place| block.cell(place)) {
                 let source = IVec3::from([0, 1, 2].map(|axis| mirror.source(axis, cell[axis])));
                 assert_eq!(mirrored.at(cell), block.at(source), "{cell} from {source}, {mirror:?}");

@@ -40,18 +40,18 @@ impl FrameFacts {
         self.domain.as_ref().map(Domain::cells)
     }
 
-    /// The mirror at the walls, for filters; `None` without walls.
+    /// The mirror at the walls, for filters in cells 2^`level` times as wide; `None` without walls.
     #[must_use]
-    pub fn mirror(&self) -> Option<Mirror> {
-        self.domain.as_ref().map(Domain::mirror)
+    pub fn mirror(&self, level: u32) -> Option<Mirror> {
+        self.domain.map(|domain| domain.mirror().in_wider_cells(level))
     }
 
-    /// The mirror for the field from which the mesh is made. It is at the outer faces of the cells
-    /// within the walls, so a ghost point beyond a wall has the sample of the cell before the wall.
-    /// It differs from [`mirror`](Self::mirror) only in the wider cells of octaves.
+    /// The mirror for the field from which the mesh is made, in cells 2^`level` times as wide. It is
+    /// at the outer faces of the cells within the walls, so a ghost point beyond a wall has the
+    /// sample of the cell before the wall.
     #[must_use]
-    pub fn mesh_mirror(&self) -> Option<Mirror> {
-        self.walls().map(Mirror::new)
+    pub fn mesh_mirror(&self, level: u32) -> Option<Mirror> {
+        self.walls().map(|walls| Mirror::new(walls.in_wider_cells(level)))
     }
 
     /// The walls at which the mesh ends; the field may extend beyond them.

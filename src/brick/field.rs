@@ -175,9 +175,7 @@ impl DifField {
     /// Cuts the samples of `cells` out of the bricks, mirrored by `mirror`.
     pub fn gather_mirrored(&self, cells: CellBox, mirror: Option<Mirror>) -> Block {
         let mut block = self.gather(cells);
-        if let Some(mirror) = mirror {
-            block.mirror(mirror);
-        }
+        block.mirror(mirror);
         block
     }
 

@@ -215,7 +215,7 @@ impl FieldOfLevel<'_> {
         let mesh = |(region, field): (&LevelRegion, Option<Block>)| {
             meter.add(1);
             let mut field = field?;
-            faces.into_iter().for_each(|faces| field.mirror(Mirror::new(faces)));
+            field.mirror(faces.map(Mirror::new));
             let mesh = block_mesh(&field, region.cells, iso, normals, walls)?;
             let level = BlockLevel { level: region.level, ..BlockLevel::default() };
             Some(BlockMesh { level, ..mesh })

@@ -15,7 +15,7 @@ use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
 use crate::frame::estimate::{BLOCKS_A_THREAD, CARRIED_BYTES};
 use crate::grid::stretch::Stretch;
-use crate::grid::{BLOCK, CellBox, Domain, LevelRegion, Mirror, MortonKey, PeriodicMesh};
+use crate::grid::{BLOCK, CellBox, Domain, LevelRegion, MortonKey, PeriodicMesh};
 use crate::particles::AttributeInfo;
 use crate::surface::attribute::{are_wide, nearest_values, vertex_values};
 use crate::surface::dual_mc::{Crossings, Normals, block_vertices};
@@ -251,8 +251,7 @@ impl<'a> CalibratedFrame<'a> {
         let level = mesh.level.level;
         let smoothing = &self.extracted.attribute_smoothing[usize::from(level)];
         let crossings = self.extracted.crossings;
-        let walls = self.facts.walls();
-        let mirror = walls.map(|walls| Mirror::new(walls.in_wider_cells(level.into())));
+        let mirror = self.facts.mesh_mirror(level.into());
         for (index, info) in infos.iter().enumerate() {
             let attribute = (index, info.components);
             let values = if info.kind.is_whole() {

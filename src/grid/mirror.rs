@@ -24,7 +24,7 @@ impl Mirror {
     }
 
     /// Converts the planes to cells 2^`levels` times as wide. A plane that is neither between two
-    /// wide cells nor in the middle of one moves outwards by a quarter of a wide cell or less.
+    /// wide cells nor in the middle of one moves outwards to the next such place.
     #[must_use]
     pub fn in_wider_cells(self, levels: u32) -> Self {
         let CellBox { lo, hi } = CellBox { lo: self.lo, hi: self.hi }.in_wider_cells(levels);

@@ -91,9 +91,7 @@ pub fn vertex_values(
     // Sums are mirrored at walls.
     let cells = used.with_nearest_of(mirror.map(|mirror| mirror.cells())).grown(reach, reach);
     let smooth = |mut sum: Block<f64>| {
-        if let Some(mirror) = mirror {
-            sum.mirror(mirror);
-        }
+        sum.mirror(mirror);
         smoothing.apply(sum, mirror)
     };
     let mut values = vec![0.0; edges.len() * components];

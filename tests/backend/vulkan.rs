@@ -77,9 +77,7 @@ fn blurring_on_the_device_matches_the_cpu_for_every_reach_and_wall() {
             let middles = Mirror::new(twice).in_wider_cells(1);
             for mirror in [None, Some(faces), Some(middles)] {
                 let mut mirrored = dif.clone();
-                if let Some(mirror) = mirror {
-                    mirrored.mirror(mirror);
-                }
+                mirrored.mirror(mirror);
                 let expected = blur::blur(mirrored, &weights, None);
                 let (block, samples) = blurred_on(device, &pipeline, &dif, &weights, mirror);
                 let inside = mirror.map_or(inner, |mirror| inner.intersection(&mirror.cells()));

@@ -37,8 +37,8 @@ impl Mirrors {
         Self([lo.div_euclid(IVec3::splat(2)), (hi + 1).div_euclid(IVec3::splat(2))])
     }
 
-    /// The cell whose image along `axis` is at `cell`, found by reflecting the middle of `cell` until
-    /// it is between the planes.
+    /// The cell whose image along `axis` is at `cell`, found by reflecting the middle of `cell`
+    /// until it is between the planes.
     fn source(self, mut cell: IVec3, axis: usize) -> IVec3 {
         let [lo, hi] = self.0.map(|planes| planes[axis]);
         let mut middle = 2 * cell[axis] + 1;

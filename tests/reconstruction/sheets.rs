@@ -1,6 +1,7 @@
 //! Tests of stretched sheets and filaments of particles.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use glam::{DMat3, DVec3};
 use meniscus::Reconstruction;
@@ -49,11 +50,35 @@ pub fn film(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
     particles
 }
 
+/// The layers of films, and the factors by which they are stretched.
+pub const FILMS: [(u32, f64); 6] = [(1, 1.0), (1, 1.2), (1, 1.4), (1, 1.6), (2, 1.0), (2, 1.4)];
+
+/// Checks that the surface of a film is a single piece without holes, and that the ratio of its
+/// volume to the volume of the particles is in `ratios`.
+pub fn assert_whole(
+    request: &Reconstruction,
+    particles: &[[f64; 3]],
+    ratios: Range<f64>,
+    what: &str,
+) {
+    let found = measures_of(request, particles);
+    assert_eq!((found.components, found.genus), (1, Some(0)), "{what}");
+    let volume = found.volume.unwrap() / particles.len() as f64;
+    assert!(ratios.contains(&volume), "{what}: {volume}");
+}
+
 fn measured(particles: &[[f64; 3]], cell: f64, sheets: f64) -> Measures {
-    let request = Reconstruction::new().spacing(1.0).cell_size(cell).sheets(sheets);
+    measures_of(&of_cells(cell).sheets(sheets), particles)
+}
+
+fn measures_of(request: &Reconstruction, particles: &[[f64; 3]]) -> Measures {
     let mesh = request.run(particles).unwrap().to_mesh().unwrap();
     assert_eq!(watertight::defect(&mesh), None);
     measure(&mesh)
+}
+
+pub fn of_cells(cell: f64) -> Reconstruction {
+    Reconstruction::new().spacing(1.0).cell_size(cell)
 }
 
 #[test]
@@ -118,8 +143,8 @@ fn stretched_filaments_of_particles_stay_connected() {
     }
 }
 
-/// A pool six particles deep. A crown of one layer stands on it, and a filament stands in the middle
-/// of the crown. Both are stretched, and all particles are jittered and rotated against the grid.
+/// A pool six particles deep. A crown of one layer stands on it, and a filament stands in the
+/// middle of the crown. Both are stretched, and all particles are jittered and rotated against the grid.
 fn splash(stretch: f64) -> Vec<[f64; 3]> {
     let mut random = Random::new(19);
     let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.7, 0.4, 0.3);
@@ -157,21 +182,15 @@ fn sheets_and_filaments_that_stand_on_water_hold_down_to_the_water() {
 
 #[test]
 fn films_on_a_floor_hold_wherever_the_floor_lies_in_the_cells() {
-    for (layers, stretch) in [(1, 1.0), (1, 1.2), (1, 1.4), (1, 1.6), (2, 1.0), (2, 1.4)] {
+    for (layers, stretch) in FILMS {
         for (cell, floor) in [(0.5, 0.0), (0.5, 0.37), (0.5, 0.75), (0.25, 0.0), (0.25, 0.25)] {
             let raised = |[x, y, z]: [f64; 3]| [x, y + floor, z];
             let film = film(layers, stretch, &mut Random::new(5));
             let particles: Vec<_> = film.into_iter().map(raised).collect();
-            let request = Reconstruction::new().spacing(1.0).cell_size(cell);
             let open = f64::INFINITY;
-            let request = request.domain([-open, floor, -open], [open; 3]);
-            let mesh = request.run(&particles[..]).unwrap().to_mesh().unwrap();
-            assert_eq!(watertight::defect(&mesh), None);
-            let found = measure(&mesh);
+            let request = of_cells(cell).domain([-open, floor, -open], [open; 3]);
             let what = format!("{layers} layers, {stretch}, cells of {cell}, floor at {floor}");
-            assert_eq!((found.components, found.genus), (1, Some(0)), "{what}");
-            let volume = found.volume.unwrap() / particles.len() as f64;
-            assert!((0.85..1.5).contains(&volume), "{what}: {volume}");
+            assert_whole(&request, &particles, 0.85..1.5, &what);
         }
     }
 }

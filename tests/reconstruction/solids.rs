@@ -25,7 +25,7 @@ use crate::common::periodic::{Faces, repeated, triangles_within};
 use crate::common::scene::Random;
 use crate::common::shapes::{cuboid, moved, sphere};
 use crate::common::{sampling, surfacing, watertight};
-use crate::sheets::film;
+use crate::sheets::{FILMS, assert_whole, film, of_cells};
 
 /// The size of the pool along x and z.
 const SIZE: f64 = 30.0;
@@ -151,7 +151,7 @@ fn films_on_solids_hold_and_keep_their_volume() {
         *position = rotated(DVec3::from(*position), ANGLE).to_array();
     }
     let solid = written(&folder, "plate.obj", &plate);
-    for (layers, stretch) in [(1, 1.0), (1, 1.2), (1, 1.4), (1, 1.6), (2, 1.0), (2, 1.4)] {
+    for (layers, stretch) in FILMS {
         for cell in [0.25, 0.5] {
             let film = film(layers, stretch, &mut Random::new(5));
             // The particles of the lowest layer lie half a spacing above the plate.
@@ -159,17 +159,11 @@ fn films_on_solids_hold_and_keep_their_volume() {
                 rotated(DVec3::new(x, y * stretch * stretch, z), ANGLE).to_array()
             };
             let particles: Vec<_> = film.into_iter().map(raised).collect();
-            let request = Reconstruction::new().spacing(1.0).cell_size(cell);
-            let request = request.solids([solid.to_str().unwrap()]);
-            let mesh = request.run(&particles[..]).unwrap().to_mesh().unwrap();
-            assert_eq!(watertight::defect(&mesh), None);
-            let found = measure(&mesh);
+            let request = of_cells(cell).solids([solid.to_str().unwrap()]);
             let what = format!("{layers} layers, {stretch}, cells of {cell}");
-            assert_eq!((found.components, found.genus), (1, Some(0)), "{what}");
-            let volume = found.volume.unwrap() / particles.len() as f64;
             // Coarse cells cannot hold a thinner film.
             let most = if cell < 0.5 { 1.4 } else { 2.0 };
-            assert!((0.8..most).contains(&volume), "{what}: {volume}");
+            assert_whole(&request, &particles, 0.8..most, &what);
         }
     }
 }

@@ -112,8 +112,7 @@ fn outside_of(
     let cells = cells.grown(reach, reach);
     let distances = solid.distances(grid, periodic, level, cells, width / STEPS, FARTHEST);
     let mut shares = outside(&distances);
-    let mirror = sampled.facts.mirror().map(|mirror| mirror.in_wider_cells(level));
-    mirror.into_iter().for_each(|mirror| shares.mirror(mirror));
+    shares.mirror(sampled.facts.mirror(level));
     Some(shares)
 }
 
@@ -131,7 +130,7 @@ pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
         .min(f64::from(i16::MAX)) as i16;
     let (grid, periodic, step) = (&facts.grid, facts.periodic.as_ref(), spacing / UNITS);
     let mut distances = solid.distances(grid, periodic, 0, field.cells(), step, most);
-    facts.mesh_mirror().into_iter().for_each(|mirror| distances.mirror(mirror));
+    distances.mirror(facts.mesh_mirror(0));
     cut(field, &distances, offset.round() as i32, most);
 }
 
@@ -290,7 +289,7 @@ pub(super) struct StopSignal;
 
 impl Blocks<'_> {
     fn mirror(&self, level: u32) -> Option<Mirror> {
-        self.sampled.facts.mirror().map(|mirror| mirror.in_wider_cells(level))
+        self.sampled.facts.mirror(level)
     }
 
     fn gathered(&self, level: u32, cells: CellBox) -> Block {
@@ -301,9 +300,7 @@ impl Blocks<'_> {
     }
 
     fn field(&self, mut block: Block, level: u32) -> BlockField {
-        if let Some(mirror) = self.mirror(level) {
-            block.mirror(mirror);
-        }
+        block.mirror(self.mirror(level));
         BlockField::new(block, level)
     }
 

@@ -176,7 +176,7 @@ fn meshes_of_spray(
         let region = normals.region(field.cells());
         // The filters use cells beyond a periodic face, but the mesh ends at the face.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
-        cut.into_iter().for_each(|faces| field.mirror(Mirror::new(faces)));
+        field.mirror(cut.map(Mirror::new));
         block_mesh(&field, region, recipe.iso, normals, walls)
     };
     regions.iter().map(mesh).collect()
@@ -209,7 +209,7 @@ fn meshes(
         let mut field = field?;
         // The filters use cells beyond a periodic face, but the mesh ends at the face.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
-        cut.into_iter().for_each(|faces| field.mirror(Mirror::new(faces)));
+        field.mirror(cut.map(Mirror::new));
         block_mesh(&field, region, recipe.iso, normals, walls)
     };
     regions.iter().map(mesh).collect()

@@ -179,7 +179,7 @@ impl<'a> SizedField<'a> {
 
     /// The mirror at walls, in cells 2^`level` times as wide as the finest.
     fn mirror(&self, level: u32) -> Option<Mirror> {
-        self.clouds.octave(0).facts.mirror().map(|mirror| mirror.in_wider_cells(level))
+        self.clouds.octave(0).facts.mirror(level)
     }
 
     /// Makes the final field on each of `boxes`, one after another; `None` for a box through which
@@ -289,8 +289,7 @@ impl<'a> SizedField<'a> {
         for drops in drops {
             field = self.with_drops(field, &drops);
         }
-        let mirror = self.clouds.octave(0).facts.mesh_mirror();
-        mirror.into_iter().for_each(|mirror| field.mirror(mirror));
+        field.mirror(self.clouds.octave(0).facts.mesh_mirror(0));
         let solid = self.solid.as_deref().filter(|solid| self.is_at(solid, cells));
         solid.into_iter().for_each(|solid| cut_by(solid, self.clouds.octave(0), &mut field));
         field
@@ -331,7 +330,7 @@ impl<'a> SizedField<'a> {
             [calm, fine, bulk].map(|field| {
                 let mut field = finer_spacings(refined(field, 1, wide));
                 // The planes of the next octave's mirror may lie elsewhere.
-                mirror.into_iter().for_each(|mirror| field.mirror(mirror));
+                field.mirror(mirror);
                 field
             })
         });
@@ -386,7 +385,7 @@ impl<'a> SizedField<'a> {
         let mirror = self.mirror(octave as u32 + distances.level);
         let on_wide = |block: &Block| {
             let mut block = block.part(wide);
-            mirror.into_iter().for_each(|mirror| block.mirror(mirror));
+            block.mirror(mirror);
             block
         };
         match surfaces_and_bulk(distances, &mut blocks) {
@@ -424,7 +423,7 @@ impl<'a> SizedField<'a> {
         if outlying.samples().iter().all(|&sample| sample <= stands_out.begin()) {
             return None;
         }
-        mirror.into_iter().for_each(|mirror| outlying.mirror(mirror));
+        outlying.mirror(mirror);
         let wide_level = octave as u32 + level;
         let part = outlying_part(&outlying, wide_cells(wide_level, cells), stands_out.begin());
         let part = cells.intersection(&refined_from(wide_level, part));

@@ -200,7 +200,7 @@ impl<'a> SprayMaker<'a> {
         let Self { recipe, distances, sampled, .. } = *self;
         let DistanceFilters { level, near, least, .. } = *distances;
         let wide = distances.wide_cells(cells);
-        let mirror = sampled.facts.mirror().map(|mirror| mirror.in_wider_cells(level));
+        let mirror = sampled.facts.mirror(level);
         let clouds = sampled.wide(level).gather_mirrored(wide.grown(near, near), mirror);
         let needed = clouds.box_of(|sample| sample >= least).grown(near, near).intersection(&wide);
         if needed.is_empty() {
@@ -216,7 +216,7 @@ impl<'a> SprayMaker<'a> {
         let padded = |BlockField { block, level, .. }: BlockField| {
             let mut all = Block::zero(wide);
             all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
-            mirror.into_iter().for_each(|mirror| all.mirror(mirror));
+            all.mirror(mirror);
             BlockField::new(all, level)
         };
         let blocks = Blocks::of_few(recipe, sampled, cells, FieldUse::Everywhere);

@@ -15,7 +15,7 @@ pub trait BlurSample: Copy + Default + PartialEq {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. The input must be mirrored by `mirror`; the
+/// Blurs `block` with `weights` along x, then y, then z. The input must be mirrored by `mirror`. The
 /// result is mirrored, too, for the next filter.
 ///
 /// The result is smaller than the input by the weights' reach on every side: it has exactly the
@@ -47,9 +47,7 @@ pub fn blur_while<T: BlurSample>(
             return None;
         }
     }
-    if let Some(mirror) = mirror {
-        block.mirror(mirror);
-    }
+    block.mirror(mirror);
     Some(block)
 }
 
@@ -67,9 +65,7 @@ pub fn blur_of_few(
     mirror: Option<Mirror>,
 ) -> Block {
     let mut blurred = blurred_part(block, full, weights, cells);
-    if let Some(mirror) = mirror {
-        blurred.mirror(mirror);
-    }
+    blurred.mirror(mirror);
     blurred
 }
 

@@ -92,7 +92,7 @@ impl Plateau {
         let blurred = BlurredSamples {
             dif: frame.wide(distances.level),
             own: frame.facts.own_cells().map(|own| own.in_wider_cells(distances.level)),
-            mirror: frame.facts.mirror().map(|mirror| mirror.in_wider_cells(distances.level)),
+            mirror: frame.facts.mirror(distances.level),
             reach: GHOST_LAYER,
             halo: narrowest.weights.reach(),
             width: f64::from(narrowest.spacings) / 4096.0 * spacing,
@@ -120,7 +120,7 @@ impl Plateau {
         let blurred = BlurredSamples {
             dif,
             own: frame.facts.own_cells(),
-            mirror: frame.facts.mirror(),
+            mirror: frame.facts.mirror(0),
             reach: 0,
             halo: smoothing.halo(),
             width: smoothing.width(),

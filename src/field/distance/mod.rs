@@ -132,6 +132,12 @@ impl Ramp {
         Self { begin, range, slope: (1_u32 << 28).div_ceil(range as u32) }
     }
 
+    /// Makes a ramp between two fractions of the plateau, for values in 32768ths of the plateau.
+    pub(in crate::field) const fn in_plateaus([begin, end]: [f64; 2]) -> Self {
+        let range = ((end - begin) * 32768.0).round();
+        Self::new((begin * 32768.0).round() as u16, range as u16)
+    }
+
     /// The height of the ramp at `value`, from 0 to 4096: 3 x^2 - 2 x^3, where x rises from 0 to 1
     /// over the range of the ramp.
     #[inline(always)]

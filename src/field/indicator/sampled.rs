@@ -88,7 +88,7 @@ impl SampledDif {
         let spacing = self.facts.spacing_cells_or_one();
         let amount =
             |level: u32| f64::from(Amount::of_spacing(spacing / f64::from(1 << level)).steps());
-        let (mut finer, mut mirror) = (Arc::clone(&self.dif), self.facts.mirror());
+        let (mut finer, mut mirror) = (Arc::clone(&self.dif), self.facts.mirror(0));
         let levels = 0..self.wide_cells().level + self.more_levels;
         let halved = levels.map(|level| {
             // At levels beyond wide cells, samples deep in the fluid keep their value.

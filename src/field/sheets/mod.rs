@@ -103,13 +103,13 @@ const GONE: f64 = 1.12;
 /// filaments.
 const FILAMENTS_FARTHER: f64 = 1.15;
 /// The width of the Gaussian that shows the bulk, in spacings.
-const BULK_WIDTH: f64 = 1.45;
+pub(in crate::field) const BULK_WIDTH: f64 = 1.45;
 /// The cut-off of this Gaussian, in standard deviations. The cut keeps the reach of sheets short,
 /// and hardly matters for the density of the bulk.
-const BULK_CUT: f64 = 1.5;
+pub(in crate::field) const BULK_CUT: f64 = 1.5;
 /// The range of this Gaussian's density in which the weight of clouds falls to 0, in 32768ths of
 /// the plateau.
-pub const IN_BULK: Ramp = Ramp::new(in_plateaus(0.34), in_plateaus(0.06));
+pub const IN_BULK: Ramp = Ramp::in_plateaus([0.34, 0.4]);
 /// Number of fraction bits of the weights by which a density is divided.
 pub const WEIGHT_BITS: u32 = 15;
 /// The least weight by which a density is divided, in 4096ths.
@@ -227,11 +227,6 @@ pub struct SheetConstants {
 /// Converts a number to fixed point.
 const fn fixed(value: f64) -> i32 {
     (value * ONE as f64).round() as i32
-}
-
-/// Converts a fraction of the plateau to 32768ths.
-const fn in_plateaus(fraction: f64) -> u16 {
-    (fraction * 32768.0) as u16
 }
 
 const fn ramp([begin, end]: [f64; 2]) -> Ramp {

@@ -224,7 +224,7 @@ impl SizedClouds {
 
     fn gathered(&self, octave: usize, level: u32, cells: CellBox, part: CloudPart) -> Block {
         let wanted = self.plateau(level);
-        let finest = self.layers[0].volume.facts.mirror();
+        let finest = &self.layers[0].volume.facts;
         let mut sum = Block::zero(cells);
         // A requested cell is as wide as 2^`wide` cells of the finest octave.
         let octave = self.first + octave;
@@ -244,15 +244,13 @@ impl SizedClouds {
                 (field.wide(own).gather(cells), own)
             } else {
                 let finer = of - wide;
-                let mirror = finest.map(|mirror| mirror.in_wider_cells(of));
-                let coarse = field.dif.gather_mirrored(wide_cells(finer, cells), mirror);
+                let coarse = wide_cells(finer, cells);
+                let coarse = field.dif.gather_mirrored(coarse, finest.mirror(of));
                 (refined(&coarse, finer, cells), 0)
             };
             add(&mut sum, &block, wanted / self.plateau(own));
         }
-        if let Some(mirror) = finest {
-            sum.mirror(mirror.in_wider_cells(wide));
-        }
+        sum.mirror(finest.mirror(wide));
         sum
     }
 

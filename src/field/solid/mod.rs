@@ -30,6 +30,7 @@ use glam::IVec3;
 use crate::brick::Block;
 use crate::field::blur::{Weights, blur};
 use crate::field::distance::{NONE, Ramp, ZERO, spread};
+use crate::field::sheets::{BULK_CUT, BULK_WIDTH};
 use crate::grid::{CellBox, Mirror};
 
 use fit::LinearFit;
@@ -48,18 +49,14 @@ const MEAN_CUT: f64 = 2.2;
 const GAIN: u32 = 2;
 /// The share of a cell whose cloud lies completely outside the solid.
 pub const WHOLE: u16 = 1 << 15;
-/// The standard deviation, in spacings, of the Gaussian that shows where the fluid is thick.
-const THICK: f64 = 1.45;
-/// The cut-off of this Gaussian, in standard deviations.
-const THICK_CUT: f64 = 1.5;
 /// Fluid counts as thick if it is thick anywhere within this distance, in spacings.
 const THICK_NEAR: f64 = 2.0;
-/// The range of this Gaussian's density in which fluid begins to count as thick, in 32768ths of the
-/// plateau.
-const IS_THICK: Ramp = Ramp::new(13_107, 4_915);
+/// The range of the density under a Gaussian of [`BULK_WIDTH`] in which fluid begins to count as
+/// thick.
+const IS_THICK: Ramp = Ramp::in_plateaus([0.4, 0.55]);
 /// Fluid is also thick if its mean density is high, even deep in a solid. This is the range of the
-/// mean in which it begins to count as thick, in 32768ths of the plateau.
-const IS_THICK_IN_MEAN: Ramp = Ramp::new(21_299, 6_554);
+/// mean in which it begins to count as thick.
+const IS_THICK_IN_MEAN: Ramp = Ramp::in_plateaus([0.65, 0.85]);
 /// A mean needs at least this share of its Gaussian outside the solid; otherwise, it is 0.
 const MEAN_LEAST: u16 = WHOLE >> 7;
 /// Number of steps per cell edge in the distances from which shares are computed.
@@ -88,7 +85,7 @@ impl SolidFill {
         Self {
             fit: gaussian(FIT, FIT_CUT),
             mean: gaussian(MEAN, MEAN_CUT).gaining(GAIN),
-            thick: gaussian(THICK, THICK_CUT).gaining(GAIN),
+            thick: gaussian(BULK_WIDTH, BULK_CUT).gaining(GAIN),
             near: (THICK_NEAR / edge).round().max(1.0) as i32,
         }
     }
@@ -112,8 +109,8 @@ impl SolidFill {
     }
 
     /// Returns the samples of `cells`, continued into a solid. `scale` converts smoothed clouds to
-    /// fractions of the plateau, as in [`Bulk`](super::distance::Bulk). `outside` holds the share of
-    /// each cell's cloud that lies outside the solid.
+    /// fractions of the plateau, as in [`Bulk`](super::distance::Bulk). `outside` holds the share
+    /// of each cell's cloud that lies outside the solid.
     ///
     /// # Panics
     /// If `clouds` or `outside` does not cover `cells` with a halo of [reach](Self::reach).
@@ -156,6 +153,12 @@ impl SolidFill {
             let share = u64::from(share.at(cell));
             let density = u64::from(density.at(cell)) << (15 - GAIN);
             let mean = if share < u64::from(MEAN_LEAST) { 0 } else { density / share };
+            let is_thick = IS_THICK.of(fraction(thick.at(cell).into()));
+            let in_mean = IS_THICK_IN_MEAN.of(fraction(mean << GAIN));
+            let weight = u64::from(is_thick.max(in_mean));
+            if weight == 0 {
+                continue;
+            }
             let sample = match fit.at(cell) {
                 Some(fitted) => {
                     let usable = u64::from(usable.at(cell));
@@ -163,13 +166,10 @@ impl SolidFill {
                 }
                 None => own + ((mean * u64::from(missing)) >> 15),
             };
-            let is_thick = IS_THICK.of(fraction(thick.at(cell).into()));
-            let in_mean = IS_THICK_IN_MEAN.of(fraction(mean << GAIN));
-            let weight = u64::from(is_thick.max(in_mean));
             let sample = (own * (4096 - weight) + sample.min(u16::MAX.into()) * weight) >> 12;
             filled.samples_mut()[index] = sample as u16;
         }
-        mirror.into_iter().for_each(|mirror| filled.mirror(mirror));
+        filled.mirror(mirror);
         filled
     }
 }

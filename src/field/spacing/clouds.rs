@@ -17,8 +17,7 @@ pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
         return None;
     }
     let wide = frame.wide_cells();
-    let (field, mirror) = (frame.wide(wide.level), frame.facts.mirror());
-    let mirror = mirror.map(|mirror| mirror.in_wider_cells(wide.level));
+    let (field, mirror) = (frame.wide(wide.level), frame.facts.mirror(wide.level));
     let mut bins: Vec<IVec3> = field.keys().map(|key| key.coord()).collect();
     bins.sort_by_key(|bin| quick_hash(bin.as_dvec3().to_array()));
     let (mut held, mut around) = (0.0, 0.0);

@@ -344,8 +344,8 @@ pub fn a_tank_in_fine_cells_ends_at_its_walls_for_any_wide_cell_offset(backend: 
             let found = measure(&mesh);
             let ([low, high], volume) = (found.bounds.unwrap(), found.volume.unwrap());
             assert_eq!((low, high[0], high[2]), ((-walls).to_array(), 8.0, 8.0), "{what}");
-            // The surface may rise near the walls, because wide cells that cross a wall hold a mirror
-            // image of the fluid beyond it.
+            // The surface may rise near the walls, because wide cells that cross a wall hold a
+            // mirror image of the fluid beyond it.
             println!("{what}: {}, up to {}", volume / 2048.0, high[1]);
             assert!(
                 (volume / 2048.0 - 1.0).abs() < 0.02 && high[1] < 0.35,
