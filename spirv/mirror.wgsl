@@ -3,18 +3,19 @@
 // The coordinate of the cell that appears at the coordinate `cell` between mirrors at `lo` and
 // `hi`.
 fn source_of(cell: i32, lo: i32, hi: i32) -> i32 {
-    if cell >= (lo >> 1u) && cell < ((hi + 1) >> 1u) {
-        return cell;
+    // The middle of the cell, in halves of a cell. Few cells are beyond a mirror, and a loop costs
+    // the other cells only a comparison.
+    var at = 2 * cell + 1;
+    while at < lo || at > hi {
+        at = select(2 * hi - at, 2 * lo - at, at < lo);
     }
-    let period = 2 * (hi - lo);
-    let at = abs(2 * cell + 1 - lo) % period;
-    return (min(at, period - at) + lo - 1) >> 1u;
+    return at >> 1u;
 }
 
 fn source_cell(cell: vec3<i32>, lo: vec3<i32>, hi: vec3<i32>) -> vec3<i32> {
-    return vec3(
-        source_of(cell.x, lo.x, hi.x),
-        source_of(cell.y, lo.y, hi.y),
-        source_of(cell.z, lo.z, hi.z),
-    );
+    var at = 2 * cell + 1;
+    while any(at < lo) || any(at > hi) {
+        at = select(select(at, 2 * hi - at, at > hi), 2 * lo - at, at < lo);
+    }
+    return at >> vec3(1u);
 }
