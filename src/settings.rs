@@ -250,7 +250,7 @@ settings! {
     )]
     solid_offset: Option<f64>,
 
-    /// Rule that computes the value of a cell from the particles in it [default: cloud].
+    /// Rule for computing the value of a cell from the particles in and near it [default: cloud].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     indicator: Option<IndicatorKind>,
 
@@ -285,8 +285,8 @@ settings! {
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
-    /// Method that computes the surface: dif, which uses the indicator, or another published
-    /// method, for comparison [default: dif].
+    /// Method for computing the surface: dif, which uses the indicator, or one of three published
+    /// methods, for comparison [default: dif].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     method: Option<MethodName>,
 
@@ -302,8 +302,8 @@ settings! {
     /// yu-turk methods [default: auto].
     ///
     /// auto is 0.47 times the value of the field deep inside the fluid. If the fluid is too shallow
-    /// to measure that value, meniscus computes it from the spacing. For kernel methods, auto is
-    /// 0.5.
+    /// to measure that value, meniscus computes it from the spacing. For mueller and
+    /// yu-turk, auto is 0.5.
     #[arg(
         value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface",
         hide_short_help = true

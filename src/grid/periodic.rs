@@ -36,7 +36,7 @@ pub enum PeriodicMesh {
     /// Ends on the faces, closed as at the walls of a tank.
     #[default]
     Cut,
-    /// Continues some cells beyond the faces, so that adjacent copies overlap.
+    /// Extends a few cells beyond the faces, so that adjacent copies overlap.
     Overlap,
 }
 
@@ -65,8 +65,8 @@ pub enum PeriodicError {
     Open,
     /// The domain has walls along a periodic axis.
     #[error(
-        "the domain has a wall at an end of {axis}, but {axis} is periodic; leave both ends of \
-         {axis} open in the domain"
+        "the domain has a wall along {axis}, but {axis} is periodic; leave both {axis} sides of \
+         the domain open"
     )]
     Walled {
         /// The axis: x, y or z.

@@ -60,8 +60,8 @@ pub enum SelectionFault {
     /// A condition on the type of particles that allows several types, or excludes the type that is
     /// read.
     #[error(
-        "cannot apply {condition}: only one type of particles can be read at a time; choose one \
-         with type=NAME; available types: {}",
+        "cannot apply {condition}: meniscus reads only one type of particles at a time; choose \
+         one with type=NAME; available types: {}",
         listed(known)
     )]
     Types {

@@ -146,7 +146,7 @@ pub struct PartsOptions {
     /// are in a folder next to the output: for m.ply, it is m.ply.meniscus-parts.
     #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..), help_heading = "Clusters", hide_short_help = true)]
     pub parts: Option<u32>,
-    /// Make part I, where I is from 0 to N - 1. Parts can be made in any order. If a run was
+    /// Make part I, where I is from 0 to N - 1. Parts can be made in any order. If a run is
     /// killed, make its part again.
     #[arg(
         long,

@@ -304,8 +304,8 @@ pub struct SimulationOptions {
     pub resume: bool,
     /// Convert frames as a running simulation writes them.
     ///
-    /// The conversion stops after the last frame (--end), or when no new frame has appeared for
-    /// SECONDS [default: no limit].
+    /// The conversion stops after the last frame (--end), or once no file has appeared or changed
+    /// for SECONDS [default: no limit].
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", conflicts_with = "dry_run", help_heading = "Simulations")]
     pub watch: Option<f64>,
     /// Frames per second of the simulation, if the files have no times.

@@ -265,14 +265,14 @@ impl fmt::Display for Warning {
             Self::MissingAttribute { attribute, calibration_frame } => {
                 let known = calibration_frame.map_or_else(
                     || "the calibration frame".to_owned(),
-                    |frame| format!("frame {frame}, the calibration frame"),
+                    |frame| format!("calibration frame {frame}"),
                 );
                 let is_velocity = attribute == "velocity";
                 let blur = if is_velocity { ", so the frame has no motion blur" } else { "" };
                 write!(
                     f,
-                    "the particles of this frame lack the attribute {attribute:?}, unlike those of \
-                     {known}; the mesh of this frame lacks it, too{blur}"
+                    "this frame has no attribute {attribute:?}, but {known} has it; the mesh of \
+                     this frame therefore has none{blur}"
                 )
             }
             Self::Alpha { attribute, own, shared } => {
@@ -325,10 +325,7 @@ impl fmt::Display for Warning {
                 } else {
                     "smaller cells"
                 };
-                write!(
-                    f,
-                    "at least {lost} of {of} particles are missing from the surface; use {remedy}"
-                )
+                write!(f, "at least {lost} of {of} particles are outside the surface; use {remedy}")
             }
             Self::Shortfall { shortfall, .. } => shortfall.fmt(f),
             Self::Merged { vertices, format } => {

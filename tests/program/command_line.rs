@@ -1015,7 +1015,7 @@ fn volume_and_component_count_of_real_frames_depend_little_on_cell_size() {
                 let (_, notes) = reconstructed(folder.path(), frame.to_str().unwrap(), &more);
                 // A warning is allowed for counting, which loses drops of one particle.
                 let lost = indicator == "counting"
-                    && notes.contains("are missing from the surface; use the indicator cloud");
+                    && notes.contains("are outside the surface; use the indicator cloud");
                 assert!(lost || !notes.contains("warning"), "{notes}");
                 let measures =
                     measure(&read_mesh(&folder.path().join("reconstructed.ply")).unwrap());

@@ -640,8 +640,7 @@ fn particles_missing_from_the_surface_are_counted_and_reported() {
         run(folder.path(), &[&["reconstruct"], arguments, &symmetry].concat(), 0)
     };
     let count = body.len() + 201;
-    let warning =
-        format!("warning: at least 201 of {count} particles are missing from the surface");
+    let warning = format!("warning: at least 201 of {count} particles are outside the surface");
     let notes = with(&["f_3.xyz", "-o", "a.ply"]);
     assert!(notes.contains(&warning), "{notes}");
     for budget in [&[][..], &["--memory", "16MiB", "--threads", "1"]] {
@@ -650,12 +649,12 @@ fn particles_missing_from_the_surface_are_counted_and_reported() {
     }
     for few in ["f_1.xyz", "f_2.xyz"] {
         let notes = with(&[few, "-o", "a.ply"]);
-        assert!(!notes.contains("missing from the surface"), "{few}: {notes}");
+        assert!(!notes.contains("outside the surface"), "{few}: {notes}");
     }
     // The cloud indicator keeps every particle.
     let clouds =
         run(folder.path(), &["reconstruct", "f_3.xyz", "-o", "b.ply", "--spacing", "1"], 0);
-    assert!(!clouds.contains("missing from the surface"), "{clouds}");
+    assert!(!clouds.contains("outside the surface"), "{clouds}");
     let kernels = [
         "reconstruct",
         "f_3.xyz",
@@ -669,7 +668,7 @@ fn particles_missing_from_the_surface_are_counted_and_reported() {
         "4",
     ];
     let kernels = run(folder.path(), &kernels, 0);
-    assert!(kernels.contains("missing from the surface"), "{kernels}");
+    assert!(kernels.contains("outside the surface"), "{kernels}");
     // A simulation reports the sum over all frames, including frames in which every particle is
     // lost.
     let notes = with(&["f_{}.xyz", "-o", "m_{}.ply", "--stats", "stats.jsonl", "--skip-invalid"]);

@@ -172,7 +172,7 @@ fn merged_parts_report_the_warnings_of_a_single_run() {
     ];
     let single = run(folder, &[&["mist.csv", "-o", "one.ply"], &options[..]].concat(), 0);
     for word in [
-        "missing from the surface",
+        "outside the surface",
         "heat is NaN, infinite or too large for a 32-bit float",
         "looks too large",
         "not finite",

@@ -1008,7 +1008,7 @@ fn a_frame_that_the_frozen_isovalue_nearly_empties_causes_a_warning() {
     assert!(warning.contains("f_2.xyz") && warning.contains("measured on frame 1"), "{notes}");
     let all = dense.len() + thin.len();
     assert!(
-        lost.contains(&format!("{} of {all} particles are missing from the surface", thin.len())),
+        lost.contains(&format!("{} of {all} particles are outside the surface", thin.len())),
         "{notes}"
     );
     assert!(folder.path().join("m_2.ply").exists());
@@ -1955,13 +1955,13 @@ fn a_frame_that_lacks_the_velocity_of_other_frames_causes_a_warning() {
     }
     let warnings = |meshes: &str| -> Vec<String> {
         let messages = run(folder.path(), &["f_{}.csv", "-o", meshes], 0);
-        let found = messages.lines().filter(|line| line.contains("lack the attribute"));
+        let found = messages.lines().filter(|line| line.contains("has no attribute"));
         found.map(str::to_owned).collect()
     };
     let found = warnings("m_{}.ply");
     let [only] = &found[..] else { panic!("{found:?}") };
     assert!(only.starts_with("warning: f_2.csv: "), "{only}");
-    assert!(only.contains("\"velocity\", unlike those of frame 1"), "{only}");
+    assert!(only.contains("\"velocity\", but calibration frame 1 has it"), "{only}");
     assert!(read_mesh(&folder.path().join("m_2.ply")).unwrap().attributes.is_empty());
     // This format stores no velocity in any frame.
     assert!(warnings("m_{}.obj").is_empty());

@@ -43,7 +43,7 @@ use crate::grid::units::{FULL, MeanCount};
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum IndicatorKind {
-    /// The distance of the particles' centroid from the cell's centre (eq. 7 of the paper).
+    /// How close the particles' centroid is to the cell's centre, from 0 to 1 (eq. 7 of the paper).
     Symmetry,
     /// The number of particles in the cell (eq. 6 of the paper).
     Counting,

@@ -102,7 +102,7 @@ class AddFiles(bpy.types.Operator, ImportHelper):
     """Add a live surface of a sequence of particle files or packed frames"""
 
     bl_idname = "meniscus.add_files"
-    bl_label = "Fluid Surface of Files"
+    bl_label = "Fluid Surface from Files"
     bl_options = {"REGISTER", "UNDO"}
 
     # Blender truncates the filter after 255 characters.
