@@ -20,7 +20,7 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
         let what = if RESUMABLE.load(Ordering::Relaxed) {
             "finished frames are kept; --resume continues"
         } else {
-            "nothing was written"
+            "unfinished files were removed"
         };
         super::notes::say(&format!("meniscus: interrupted; {what}"));
         std::process::exit(130);
