@@ -1,7 +1,7 @@
 //! with block mirror axis
 // One axis of a separable filter: (sum over taps of weight * sample + half) >> shift, at most 65535.
 
-// The weight of the centre, then of the cells 1, 2, ... away on either side.
+// The weight of the centre, then of the cells at distances 1, 2, ... on either side.
 @group(0) @binding(3) var<storage, read> half_weights: array<u32>;
 
 fn weight_of(k: i32) -> u32 {

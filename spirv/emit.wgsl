@@ -8,7 +8,7 @@ struct EmitPush {
     // Blocks of the batch.
     blocks: u32,
     mirror_hi: vec3<i32>,
-    // Whether to write the decrease of the field along each axis too, for normals.
+    // Whether to also write the decrease of the field along each axis, for normals.
     normals: u32,
 }
 

@@ -21,7 +21,8 @@ fn parts_of(a: vec2<u32>) -> Parts {
     return Parts(vec2(a.x, (a.y & 0xfffffu) | hidden), max(i32(biased), 1) - 1075, a.y & SIGN);
 }
 
-// Normalised so that the significand's highest bit is set, unless it is 0.
+// The parts of a number, normalised so that the significand's highest bit is set, unless the
+// significand is 0.
 fn normalised(a: vec2<u32>) -> Parts {
     let parts = parts_of(a);
     let shift = min(leading_zeros(parts.significand), 63u);
@@ -178,7 +179,7 @@ fn f64_from_f32(a: u32) -> vec2<u32> {
     return vec2(fraction << 29u, sign | (u32(biased) << 20u) | (fraction >> 3u));
 }
 
-// Not for NaN.
+// The number must not be NaN.
 fn f32_from_f64(a: vec2<u32>) -> u32 {
     let sign = a.y & SIGN;
     let parts = parts_of(a);

@@ -41,7 +41,7 @@ fn deviation(n: u32, s: vec2<u32>) -> vec2<u32> {
     return minus(sum, middle);
 }
 
-// floor(a / n) < 2^bits, and the remainder.
+// floor(a / n), which must be less than 2^bits, and the remainder.
 fn divided(a: vec2<u32>, n: u32, bits: u32) -> vec2<u32> {
     if a.y == 0u {
         return vec2(a.x / n, a.x % n);
@@ -58,7 +58,7 @@ fn divided(a: vec2<u32>, n: u32, bits: u32) -> vec2<u32> {
     return vec2(quotient, rest.x);
 }
 
-// |D| / n, D in 0 to n F, rounded to 1 / DISTANCE_SCALE of a step.
+// |D| / n, where |D| is from 0 to n F, rounded to 1 / DISTANCE_SCALE of a step.
 fn rounded(n: u32, s: vec2<u32>) -> u32 {
     let whole = divided(deviation(n, s), n, FRACTION_BITS + 1u);
     // The rest is less than n; its quotient is (2 DISTANCE_SCALE rest + n) / (2 n).

@@ -1,7 +1,7 @@
 // Mirrors at the walls of a tank. The coordinates of the mirrors' planes are in halves of a cell.
 
-// The coordinate of the cell that appears at the coordinate `cell` between mirrors at `lo` and
-// `hi`.
+// The coordinate of the cell whose mirror image lies at the coordinate `cell`, for mirrors at `lo`
+// and `hi`.
 fn source_of(cell: i32, lo: i32, hi: i32) -> i32 {
     // The middle of the cell, in halves of a cell. Few cells are beyond a mirror, and a loop costs
     // the other cells only a comparison.

@@ -1,7 +1,7 @@
 //! with block ramp
-// Makes the surface of the bulk: the calm surface, blended with the fine surface where their mean
-// difference is large, except deep in the fluid. The samples are 0 where no particle is near, and
-// maximal in inside bricks.
+// Computes the surface of the bulk: the calm surface, blended with the fine surface where their
+// mean difference is large, except deep in the fluid. The samples are 0 where no particle is near,
+// and maximal in inside bricks.
 
 struct MixBothPush {
     // The ramp, over the mean difference, along which the fine surface replaces the calm surface.

@@ -1,7 +1,7 @@
 //! with block
 // Computes a sign word for every tile to mesh, and for the tiles beyond the upper faces of the
-// meshed part: bit x + 4 y + 16 z is set if that cell is inside the fluid. In the tiles beyond the
-// upper faces, only the first layer of cells is known.
+// meshed part: bit x + 4 y + 16 z is set if the cell at (x, y, z) in the tile is inside the fluid.
+// In the tiles beyond the upper faces, only the first layer of cells is known.
 
 struct SignsPush {
     // The lowest cell within the walls, and the highest; all ghost points beyond the walls are

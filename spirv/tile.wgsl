@@ -1,14 +1,15 @@
 //! with block
 // Sign words of tiles, and the corners of the dual cells that a tile owns.
 
-// For each corner number, the signs of the cells one cell up along the corner's axes from each of a
-// tile's cells. Corner 0 has the signs of the tile's own cells.
+// The signs of the grid cells at the eight corners of each dual cell in a tile, as one mask per
+// corner. Bit i of a corner's index is set if the corner is on the upper side along axis i. Corner
+// 0 has the signs of the tile's own cells.
 struct Corners {
     at: array<vec2<u32>, 8>,
 }
 
-// For each cell of a tile, the sign of the next cell along x. `next` is the word of the next tile.
-// `up_y` and `up_z` do the same along y and z.
+// For each cell of a tile, the sign of the next cell along x. `next` is the sign word of the next
+// tile along x. `up_y` and `up_z` do the same along y and z.
 fn up_x(tile: vec2<u32>, next: vec2<u32>) -> vec2<u32> {
     return ((tile >> vec2(1u)) & vec2(0x77777777u)) | ((next << vec2(3u)) & vec2(0x88888888u));
 }
@@ -37,7 +38,7 @@ fn corners_of(s: array<vec2<u32>, 8>) -> Corners {
     ));
 }
 
-// The dual cells with corners on both sides.
+// The dual cells with corners on both sides of the surface.
 fn mixed_of(corners: Corners) -> vec2<u32> {
     var any_inside = vec2(0u);
     var all_inside = vec2(0xffffffffu);

@@ -27,7 +27,7 @@ var<workgroup> first_vertices: array<u32, 24>;
 // For each cell, the number of triangles up to it.
 var<workgroup> sums: array<u32, 64>;
 
-// The number of the tile with a Morton index in a block, or NO_BLOCK.
+// The number of the tile with this Morton index in a block; NO_BLOCK if there is none.
 fn find_tile(block: u32, index: u32) -> u32 {
     var low = blocks[block].first_tile;
     let end = low + blocks[block].tiles;

@@ -52,7 +52,7 @@ pub trait Executor: Debug + Send + Sync {
 
 /// The stages of one frame.
 pub trait Stages: Debug + Send + Sync {
-    /// Makes the field of all bins. The particles must be in memory. The field may stay on the
+    /// Computes the field of all bins. The particles must be in memory. The field may stay on the
     /// device; the host then fetches samples on demand.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         Ok(DifField::in_memory(
@@ -61,7 +61,7 @@ pub trait Stages: Debug + Send + Sync {
         ))
     }
 
-    /// Makes the pages of a range of bins. `meter` counts the finished bins.
+    /// Computes the pages of a range of bins. `meter` counts the finished bins.
     ///
     /// # Errors
     /// If particles are in a scratch file that cannot be read, or if `meter` is cancelled.
@@ -73,7 +73,7 @@ pub trait Stages: Debug + Send + Sync {
         meter: &Meter<'_>,
     ) -> io::Result<Pages>;
 
-    /// Makes the surfaces of `regions`, and passes them to `take`, in order and in batches. A
+    /// Computes the surfaces of `regions`, and passes them to `take`, in order and in batches. A
     /// region without a surface gives `None`. A device computes later batches while `take` runs.
     /// `meter` counts the regions. After a cancel, the results must not be used.
     fn contour(
@@ -95,7 +95,7 @@ pub trait Stages: Debug + Send + Sync {
 /// A callback that takes the surfaces of consecutive regions.
 pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
 
-/// Number of bins per CPU thread for which pages are made between two checks for a cancel.
+/// Number of bins per CPU thread for which pages are computed between two checks for a cancel.
 const BINS_A_THREAD: usize = 64;
 
 /// Maximum number of regions whose surfaces are passed to [`Take`] in one call.
@@ -104,9 +104,9 @@ pub const REGIONS_TOGETHER: usize = 1024;
 /// The work done on a frame: the numbers of finished bins and regions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Work {
-    /// Number of bins whose pages were made.
+    /// Number of bins whose pages were computed.
     pub pages: usize,
-    /// Number of regions whose surfaces were made, including empty surfaces.
+    /// Number of regions whose surfaces were computed, including empty surfaces.
     pub regions: usize,
 }
 
@@ -115,13 +115,13 @@ pub struct Work {
 pub struct Surfaces<'a> {
     /// The sampled frame.
     pub sampled: &'a SampledDif,
-    /// The recipe that makes the field from the DIF of `sampled`.
+    /// The recipe that computes the field from the DIF of `sampled`.
     pub recipe: &'a Recipe,
     /// Solids that cut the field, if there are any.
     pub solid: Option<&'a Solid>,
     /// Whether vertices get normals.
     pub normals: Normals,
-    /// The end of the mesh at periodic faces.
+    /// How the mesh ends at periodic faces.
     pub periodic_mesh: PeriodicMesh,
 }
 
@@ -148,7 +148,7 @@ impl Surfaces<'_> {
     }
 
     /// Whether a solid may affect the surface in `region`, because the solid overlaps the cells
-    /// from which the region's field is made.
+    /// from which the region's field is computed.
     fn is_at_solid(&self, region: CellBox) -> bool {
         let Filters::Distances(distances) = &self.recipe.filters else { return false };
         let wide = distances.wide_cells(self.normals.cells(region));
@@ -163,7 +163,7 @@ impl Surfaces<'_> {
         self.solid.filter(is_near).is_some()
     }
 
-    /// Makes all fields from which samples are gathered.
+    /// Computes all fields from which samples are gathered.
     fn prepare(&self) {
         if let Filters::Distances(distances) = &self.recipe.filters {
             let _made = self.sampled.wide(distances.level.max(distances.drops_level));

@@ -493,7 +493,7 @@ impl Counter {
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         let mut placed = Vec::with_capacity(CHUNK);
-        // A thread that finds too many bins stops the other threads, because all counts are useless
+        // A thread that finds too many bins stops the other threads, because no count is needed
         // then.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             visit(positions);

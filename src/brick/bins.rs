@@ -102,8 +102,8 @@ impl Bins {
         }
     }
 
-    /// Bytes that tables need for each bin until the surface is done, however many particles the
-    /// bin contains.
+    /// Bytes of tables per bin, until the surface is finished. They do not depend on the number of
+    /// particles in the bin.
     pub const TABLE_BYTES: u64 = 344;
 
     /// For each attribute, the number of particles without a finite value, because the value

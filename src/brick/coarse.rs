@@ -1,4 +1,4 @@
-//! A field in cells twice as wide, made from the finer field bin by bin on demand.
+//! A field on cells twice as wide, computed from the finer field bin by bin, on demand.
 //!
 //! Along each axis, a wide cell takes 1/4, 3/4, 3/4 and 1/4 of the content of the four cells around
 //! its centre. These weights preserve the mass, the centroid and, up to a constant, the variance of
@@ -19,13 +19,13 @@ use crate::system::scratch::Scratch;
 use super::field::FACTOR_BITS;
 use super::{Block, BrickSide, DifField, Factor, PageInfo, PageSamples, PageShape, PageSource};
 
-/// The binary logarithm of the sum of the weights of all cells from which a wide cell is made.
+/// The binary logarithm of the sum of the weights of all cells from which a wide cell is computed.
 const WEIGHT_BITS: u32 = 9;
 /// Number of bits by which the product of a weighted sum and a [`Factor`] is shifted right. A wide
 /// cell holds the content of 2^3 cells, so the shift is three bits less than for a mean.
 pub const HALVED_BITS: u32 = WEIGHT_BITS + FACTOR_BITS - 3;
 
-/// The arrangement of the pages of a field that was made from cells half as wide.
+/// The arrangement of the pages of a field that was computed from cells half as wide.
 pub const HALVED: PageShape = PageShape { side: BrickSide::Sixteen, ghost_layer: 0 };
 
 /// Halves the number of planes along an axis. Each plane has `step` sums. Each plane of `to` is
@@ -54,8 +54,8 @@ fn wide_cells_of(bin: IVec3, mirror: Option<Mirror>) -> CellBox {
     mirror.map_or(wide, |mirror| wide.intersection(&mirror.in_wider_cells(1).cells()))
 }
 
-/// The finer cells from which the wide cells of `bin` are made; empty if none of these wide cells
-/// is within the walls at which the finer cells are mirrored.
+/// The finer cells from which the wide cells of `bin` are computed; empty if none of these wide
+/// cells is within the walls at which the finer cells are mirrored.
 pub fn halved_from(bin: IVec3, mirror: Option<Mirror>) -> CellBox {
     let wide = wide_cells_of(bin, mirror);
     if wide.is_empty() {
@@ -65,12 +65,12 @@ pub fn halved_from(bin: IVec3, mirror: Option<Mirror>) -> CellBox {
     mirror.map_or(fine, |mirror| mirror.with_sources(fine))
 }
 
-/// The finer cells from which the box `wide` of wide cells is made, ignoring walls.
+/// The finer cells from which the box `wide` of wide cells is computed, ignoring walls.
 pub fn halved_from_box(wide: CellBox) -> CellBox {
     CellBox { lo: wide.lo * 2 - 1, hi: wide.hi * 2 + 1 }
 }
 
-/// Makes the pages of wide cells.
+/// Computes the pages of wide cells.
 #[derive(Debug)]
 struct Halving {
     fine: Arc<DifField>,
@@ -81,7 +81,7 @@ struct Halving {
     kept: Option<ScratchPages>,
 }
 
-/// Pages in a scratch file. Without this file, remaking a page of a field that was halved
+/// Pages in a scratch file. Without this file, recomputing a page of a field that was halved
 /// repeatedly would read hundreds of pages of the finest field.
 #[derive(Debug)]
 struct ScratchPages {
@@ -115,7 +115,7 @@ impl Halving {
         }
         let wide = wide_cells_of(bin, self.mirror);
         let mut sums = vec![0; dense.len()];
-        // Every part beyond walls may have a mirror image of content.
+        // Any part beyond a wall may hold the mirror image of content.
         let parts = match self.mirror {
             Some(mirror) if !mirror.cells().covers(&fine) => vec![fine],
             _ => self.fine.parts_with_samples(fine),
@@ -184,10 +184,10 @@ impl PageSource for Halving {
 }
 
 impl DifField {
-    /// The field in cells twice as wide. Each sample is the content of a wide cell times `factor`
+    /// The field on cells twice as wide. Each sample is the content of a wide cell times `factor`
     /// (at most 1), clamped to 65535. If this field is in memory, the pages of the result are also
     /// in memory; otherwise they are written to a scratch file in the folder `scratch`. Without
-    /// such a folder, or without space in it, pages are remade on demand.
+    /// such a folder, or without space in it, pages are recomputed on demand.
     pub fn halved(
         self: &Arc<Self>,
         mirror: Option<Mirror>,

@@ -11,8 +11,8 @@ pub struct FrameFacts {
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// The periodic box, if there is one. Images of the particles, which lie beyond its faces, are
-    /// binned too.
+    /// The periodic box, if there is one. Binning includes the images of the particles, which lie
+    /// beyond its faces.
     pub periodic: Option<Periodic>,
     /// Numbers of binned and skipped particles, not counting images.
     pub census: Census,

@@ -58,7 +58,7 @@ impl DifField {
     }
 
     /// Makes a field from pages whose samples are outside the host's memory and are fetched on
-    /// demand. `infos` must be sorted by key. If fetching fails, `otherwise` makes the samples.
+    /// demand. `infos` must be sorted by key. If fetching fails, `otherwise` computes the samples.
     pub fn from_remote(
         shape: PageShape,
         infos: Vec<PageInfo>,
@@ -382,8 +382,8 @@ pub trait RemotePages: Send + Sync + Debug {
     /// The samples of consecutive pages.
     fn samples(&self, pages: Range<usize>) -> Option<Vec<PageSamples>>;
 
-    /// Makes the pages of `bins` in cells twice as wide, the same as
-    /// [`DifField::halved`](super::DifField::halved) does. Empty pages are left out. `mirror` is in
+    /// Computes the pages of `bins` on cells twice as wide. The results are the same as those of
+    /// [`DifField::halved`](super::DifField::halved). Empty pages are left out. `mirror` is in
     /// cells of this field.
     fn halved(
         &self,

@@ -17,7 +17,7 @@ use crate::system::memory::mapped_in_huge_pages;
 const LEAST: u64 = 1 << 14;
 /// Maximum size of a slab, in bytes: a huge page on most machines.
 const MOST: u64 = 1 << 21;
-/// Number of slabs in a list's share of memory. It is large, so that the last slab, which is not
+/// Number of slabs in a stack's share of memory. It is large, so that the last slab, which is not
 /// full, wastes little of the share.
 const A_SHARE: u64 = 16;
 
@@ -31,23 +31,23 @@ pub(super) struct Slabs {
 }
 
 impl Slabs {
-    /// Bytes of a slab of a list that may take about `share` bytes in total.
+    /// Bytes of a slab of a stack that may take about `share` bytes in total.
     pub(super) fn slab_bytes(share: u64) -> usize {
         1 << (share / A_SHARE).clamp(LEAST, MOST).ilog2()
     }
 
-    /// An empty list with slabs of `slab_bytes`.
+    /// An empty stack with slabs of `slab_bytes`.
     pub(super) fn new(slab_bytes: usize) -> Self {
         Self { slab: slab_bytes / size_of::<u64>(), slabs: Vec::new(), len: 0 }
     }
 
-    /// Takes all words out, and leaves an empty list.
+    /// Takes all words out, and leaves an empty stack.
     pub(super) fn take(&mut self) -> Self {
         let none = Self { slab: self.slab, slabs: Vec::new(), len: 0 };
         std::mem::replace(self, none)
     }
 
-    /// Bytes of memory that the list takes.
+    /// Bytes of memory that the stack takes.
     pub(super) fn bytes(&self) -> u64 {
         self.bytes_of(self.slabs.len())
     }

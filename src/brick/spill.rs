@@ -188,8 +188,8 @@ impl SpilledBins {
     fn drain(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         for run in 0..self.runs.len() {
             let kept = take(&self.sorted(run)?)?;
-            // The next run adds about as much as the average run so far. Twice the average allows
-            // for larger runs.
+            // The next run adds about as much kept memory as the average run so far. Twice the
+            // average allows for larger runs.
             let soon = kept.saturating_add(2 * kept / (run as u64 + 1));
             self.keep_within(self.memory.most.saturating_sub(soon))?;
         }

@@ -14,9 +14,9 @@ use super::{PageSamples, PageShape, RemotePages};
 /// headers.
 const CACHED_PAGE: u64 = 136;
 
-/// Samples that are read or made page by page.
+/// Samples that are read or computed page by page.
 pub trait PageSource: Send + Sync + Debug {
-    /// The stored samples of page number `page`, read or made anew by each call.
+    /// The stored samples of page number `page`, read or computed anew by each call.
     fn samples(&self, page: usize) -> Vec<u16>;
 }
 
@@ -74,7 +74,7 @@ impl PageStore {
         Self::Paged { source, cache }
     }
 
-    /// Pages outside the host's memory; if fetching fails, `otherwise` makes them.
+    /// Pages outside the host's memory; if fetching fails, `otherwise` computes them.
     pub(super) fn remote(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
         let here =
             std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();

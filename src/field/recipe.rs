@@ -71,7 +71,7 @@ impl PaperFilters {
 }
 
 impl Filters {
-    /// The maximum distance, in cells, of a surface from a full cell.
+    /// The maximum distance, in cells, from a surface to the nearest full cell.
     pub fn reach(&self) -> i32 {
         match self {
             Self::Paper(paper) => paper.reach(),
@@ -112,7 +112,7 @@ impl Filters {
         }
     }
 
-    /// The maximum memory, in bytes, that a thread needs to make the field of a block.
+    /// The maximum memory, in bytes, that a thread needs to compute the field of a block.
     pub fn block_bytes(&self) -> u64 {
         match self {
             Self::Paper(paper) => {
@@ -154,7 +154,7 @@ impl Recipe {
         Self { filters: Filters::Distances(Box::new(distances)), iso: Isovalue::ZERO_DISTANCE }
     }
 
-    /// Makes the field from the samples, on any backend.
+    /// Computes the field from the samples, on any backend.
     pub fn apply<F: Fields>(&self, fields: &mut F) -> Result<F::Field, F::Error> {
         match &self.filters {
             Filters::Paper(paper) => paper.apply(fields, self.iso),
@@ -190,7 +190,7 @@ pub struct ThinShares<T> {
     pub certainty: Option<T>,
 }
 
-/// The surface of the bulk in wide cells, and the distance by which nearby particles lie outside
+/// The surface of the bulk on wide cells, and the distance by which nearby particles lie outside
 /// the calm surface.
 #[derive(Debug, Clone)]
 pub struct WideFields<T> {
@@ -204,7 +204,7 @@ pub struct WideFields<T> {
 /// The calm and the fine surface, with the wide fields that were computed from them.
 pub type WithSurfaces<T> = ([T; 2], WideFields<T>);
 
-/// Makes the wide fields that distances need, once for all requested cells.
+/// Computes the wide fields that distances need, once for all requested cells.
 pub fn bulk<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -231,8 +231,8 @@ pub fn surfaces_and_bulk<F: Fields>(
     Ok(([calm, fine], WideFields { bulk, outlying }))
 }
 
-/// The field, made from the wide fields and, where drops are possible, from drops in the cells of
-/// the drops' level.
+/// The field, computed from the wide fields and, where drops are possible, from drops on the cells
+/// of the drops' level.
 pub fn joined<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -282,8 +282,8 @@ pub fn with_drops<F: Fields>(
     Ok(ThinShares { shares, certainty: Some(certainty) })
 }
 
-/// Sheets in the cells of the drops' level, from the density in wide cells; `None` if there are no
-/// sheets.
+/// Computes sheets on the cells of the drops' level, from the density on wide cells; `None` if
+/// there are no sheets.
 pub fn sheets<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -408,8 +408,8 @@ pub trait Fields {
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
 
     /// Clouds, reduced in the bulk, as in step 1 of [`sheets`](crate::field::sheets). `smooth` are
-    /// the clouds, smoothed by the filter that shows the bulk, which `scale` converts to fractions
-    /// of the plateau.
+    /// the clouds after smoothing by the filter that shows the bulk; `scale` converts them to
+    /// fractions of the plateau.
     fn loose(
         &mut self,
         clouds: Self::Field,
@@ -425,8 +425,8 @@ pub trait Fields {
         bits: u32,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// Sheets in cells 2^`level` times as wide around the requested cells, from the smoothed
-    /// density in wider cells; `None` if there are certainly none.
+    /// Computes sheets on cells 2^`level` times as wide around the requested cells, from the
+    /// smoothed density on wider cells; `None` if there are certainly none.
     fn sheets(
         &mut self,
         sheets: &Sheets,
@@ -442,7 +442,7 @@ pub trait Fields {
         certainty: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The field, made from the bulk's surface and drops.
+    /// The field, computed from the bulk's surface and drops.
     fn joined(
         &mut self,
         bulk: Self::Field,

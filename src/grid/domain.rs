@@ -151,9 +151,10 @@ impl Domain {
         self.mirror
     }
 
-    /// The thickness, in cells, of the outermost layer at the lower and the upper wall along each
-    /// axis, on `grid`, to which the domain belongs. It is 1 at an open side. If the domain is one
-    /// cell thick, this layer counts as that of the lower wall.
+    /// The thickness, in cells, of the outermost layers: for each axis, at the lower and at the
+    /// upper wall. `grid` is the grid to which the domain belongs. The thickness is 1 at an open
+    /// side. If the domain is one cell thick between two walls, the first number is its thickness,
+    /// and the second is 1.
     #[must_use]
     pub fn layers(&self, grid: &Grid) -> [[f64; 2]; 3] {
         let [lo, hi] = [self.lo, self.hi].map(|wall| grid.cells_from_world(wall.to_array()));
@@ -191,7 +192,7 @@ impl Domain {
     }
 
     /// Converts the walls to a grid whose cells are 2^`octaves` times as wide. The domain then
-    /// consists of all wide cells that contain at least one of its cells.
+    /// consists of all wide cells that contain at least one cell of this domain.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         Self { mirror: self.mirror.in_wider_cells(octaves), ..self }

@@ -9,7 +9,7 @@ use super::{BLOCK, CellBox, MOST_LEVELS};
 pub struct LevelRegion {
     /// The level of the block's cells.
     pub level: u8,
-    /// The part, in cells of `level`.
+    /// The cells of the part, on the lattice of `level`.
     pub cells: CellBox,
 }
 
@@ -36,7 +36,7 @@ impl LevelRegion {
 /// The level of a block's cells, and which neighbouring blocks have wider or narrower cells.
 ///
 /// Cells of level k are 2^k times as wide as the finest. Cells of levels k and k + 1 can touch. The
-/// surface between them is made in a block of level k, on the lattice of that level, where each
+/// seam between them is meshed in a block of level k, on the lattice of that level, in which each
 /// wide cell counts as 2^3 cells with the same sample. Such a block can itself lie inside a block
 /// of wide cells. A vertex between two wide cells belongs to the block of those cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -78,7 +78,7 @@ impl BlockLevel {
     }
 
     /// The first block of level 0 in `block` or, if `block` lies in a block with wider cells, in
-    /// that wider block. A seam is made together with the wide cells in which it lies.
+    /// that wider block. A seam is meshed together with the wide cells in which it lies.
     #[must_use]
     pub fn home(self, block: IVec3) -> IVec3 {
         let wider = i32::from(self.wider & 1);

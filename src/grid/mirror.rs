@@ -31,7 +31,7 @@ impl Mirror {
         Self { lo, hi }
     }
 
-    /// Combines the planes of both mirrors. The inner plane of each side counts.
+    /// Combines the planes of both mirrors. On each side, the inner one of the two planes applies.
     #[must_use]
     pub(super) fn joined(self, other: Self) -> Self {
         Self { lo: self.lo.max(other.lo), hi: self.hi.min(other.hi) }
@@ -49,7 +49,7 @@ impl Mirror {
         CellBox { lo: self.lo >> 1, hi: (self.hi + 1) >> 1 }
     }
 
-    /// Adds to `cells` the cells that appear in them.
+    /// The smallest box that contains `cells` and every cell whose mirror image lies in `cells`.
     #[must_use]
     pub fn with_sources(&self, cells: CellBox) -> CellBox {
         let mut all = cells;
@@ -63,8 +63,9 @@ impl Mirror {
         all
     }
 
-    /// The coordinate along `axis` of the cell that appears at the coordinate `cell`, in the first
-    /// mirror or, if this cell is also beyond a wall, in a mirror of a mirror.
+    /// The coordinate along `axis` of the cell whose mirror image lies at the coordinate `cell`.
+    /// Far beyond a wall, the image is an image of an image. Between the planes, a cell is its own
+    /// source.
     #[must_use]
     pub fn source(&self, axis: usize, cell: i32) -> i32 {
         let (lo, length) = (self.lo[axis], self.hi[axis] - self.lo[axis]);

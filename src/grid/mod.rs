@@ -210,8 +210,8 @@ impl CellBox {
         self.union(&Self { lo: nearest(self.lo), hi: nearest(self.hi - 1) + 1 })
     }
 
-    /// This box [with the nearest cells](Self::with_nearest) within `walls`; this box itself
-    /// without walls.
+    /// This box [with the nearest cells](Self::with_nearest) of `walls`; this box itself if there
+    /// are no walls.
     pub fn with_nearest_of(&self, walls: Option<Self>) -> Self {
         walls.map_or(*self, |walls| self.with_nearest(&walls))
     }
@@ -288,8 +288,8 @@ impl MortonKey {
     }
 }
 
-/// The coordinates, in units of blocks, of the block that contains `bin`, which is in units of
-/// bins.
+/// The coordinates of the block that contains `bin`. They are in units of blocks; `bin` is in units
+/// of bins.
 pub fn block_of_bin(bin: IVec3) -> IVec3 {
     bin.div_euclid(IVec3::splat(BLOCK / BIN))
 }

@@ -20,15 +20,16 @@ const AXES: [char; 3] = ['x', 'y', 'z'];
 pub struct Periodic {
     /// Faces of the box; an open axis has none.
     faces: Domain,
-    /// The distance, in cells, beyond the faces up to which images exist.
+    /// How far beyond the faces images exist, in cells.
     reach: i32,
-    /// Fixed-point steps from a particle to its image along each axis; 0 for an open axis.
+    /// The length of the box along each axis, in fixed-point steps; 0 for an axis that is not
+    /// periodic.
     period: [i64; 3],
-    /// The distance, in the unit of length, beyond the faces up to which images exist.
+    /// How far beyond the faces images exist, in the particles' unit of length.
     reach_length: f64,
 }
 
-/// The end of a mesh at periodic faces.
+/// How a mesh ends at periodic faces.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
@@ -72,7 +73,7 @@ pub enum PeriodicError {
         /// The axis: x, y or z.
         axis: char,
     },
-    /// Filters would reach a particle and its image at the same time.
+    /// The box is so narrow that a filter could reach a particle and its image at the same time.
     #[error(
         "the periodic box is {} wide along {axis}, but must be at least {} wide, which is twice the \
          reach of the filters; use a smaller cell size or less smoothing, or leave {axis} open",
@@ -175,7 +176,7 @@ impl Periodic {
         [0, 1, 2].map(|axis| lo[axis].is_finite().then(|| [lo[axis], hi[axis]]))
     }
 
-    /// The distance, in cells, beyond the faces up to which images exist.
+    /// How far beyond the faces images exist, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.reach
@@ -206,8 +207,8 @@ impl Periodic {
     }
 
     /// Returns the position of a particle between the faces. A position on the upper face moves to
-    /// the lower face. So does a position beyond a face if both have the same coordinate after
-    /// rounding to f32. Otherwise, `Err` names the axis along which the position is outside.
+    /// the lower face. So does a position outside the box that equals a face after both are rounded
+    /// to f32. For any other position outside, `Err` names an axis along which it is outside.
     pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
         let [lo, hi] = self.faces.walls();
         let mut inside = world;
@@ -232,7 +233,7 @@ impl Periodic {
         let sides = sides(2)
             .flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
         // A particle on a face moves to the lower face even if its coordinate is rounded, so along
-        // a periodic axis its bin may differ by one.
+        // a periodic axis its bin may differ by one from the bin of its original position.
         let aside = IVec3::from(period.map(|period| i32::from(period != 0)));
         let cells = self.cells().grown(self.reach + 1, self.reach + 1);
         let reached = CellBox {
@@ -277,7 +278,7 @@ impl Periodic {
             } else {
                 return None;
             };
-            // This is the middle of a step, so that rounding does not change the step.
+            // `cells` is in the middle of a step, so that rounding does not change the step.
             let cells = ((steps[axis] + shift) as f64 + 0.5) / f64::from(FRACTIONS);
             Some(grid.origin()[axis] + grid.cell_size() * cells)
         });

@@ -88,7 +88,7 @@ impl DecidingCells {
 /// The bins whose particles affect a stretch of blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WantedBins {
-    /// The blocks to make.
+    /// The blocks to mesh.
     pub stretch: Stretch,
     /// The cells that affect the mesh of a block.
     pub sight: DecidingCells,

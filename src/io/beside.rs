@@ -1,4 +1,4 @@
-//! Writes a folder of files, and renames it just before renaming the list that names these files.
+//! Writes a folder of files that a list names. The folder gets its final name just before the list.
 //!
 //! Because of this order, a list never names missing files. Until the folder is renamed, it has a
 //! temporary name, which is derived from the name of the list's temporary file. If the work is
@@ -143,7 +143,7 @@ impl FolderInProgress {
     }
 }
 
-/// Maximum number of attempts if other processes keep creating the folder.
+/// Maximum number of attempts to rename the folder while other processes keep creating its target.
 const TRIES: u32 = 100;
 
 /// Ignores the error that a file is missing, because another process may have moved or removed it.
@@ -151,7 +151,7 @@ fn unless_gone(done: io::Result<()>) -> io::Result<()> {
     done.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
 }
 
-/// Maximum wait for a lock.
+/// Maximum time to wait for a lock.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Interval between attempts to take a lock.
 const PAUSE: Duration = Duration::from_millis(2);

@@ -85,7 +85,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     Ok(ParticleFile::new(particles.with_labels(labels), "Houdini classic .bgeo"))
 }
 
-/// The label with these texts and, for the index of each text in the file, its index in the label.
+/// Returns the label with these texts, and maps their indices in the file to indices in the label.
 /// The first text of the label is empty, because it belongs to all points without a string.
 fn label(name: String, texts: Vec<String>) -> (Label, Vec<u32>) {
     let unique: BTreeSet<String> = texts.iter().cloned().chain([String::new()]).collect();
@@ -104,7 +104,7 @@ struct Definition {
 
 /// The values of a point attribute.
 enum DefinedValues {
-    /// Numbers of a type.
+    /// Numbers of this type.
     Numbers(Scalar),
     /// Indices of these strings.
     Strings(Vec<String>),

@@ -162,7 +162,7 @@ struct Bi4Piece {
 }
 
 impl Bi4Piece {
-    /// Makes columns of the fluid particles.
+    /// Returns the columns of the fluid particles.
     fn store(self, bytes: Bytes) -> ColumnStore {
         let Self { arrays, position, fluid, endian, .. } = self;
         let columns = |array: &Bi4Array| {
@@ -213,8 +213,7 @@ impl Bi4Piece {
     }
 }
 
-/// The rows of the arrays that belong to fluid particles. Indices in `rows` are relative to
-/// `first`.
+/// The rows in which the arrays hold fluid particles. Indices in `rows` are relative to `first`.
 struct FluidRows {
     first: usize,
     rows: ParticleRows,
@@ -264,7 +263,7 @@ fn number(bytes: &[u8], endian: Endian) -> u64 {
     }
 }
 
-/// Values from the file: counts, number of pieces, spacing and time.
+/// Values from the file: particle counts, number of pieces, spacing and time.
 #[derive(Default)]
 struct Case {
     /// Numbers of fixed, moving and floating particles: CaseNfixed, CaseNmoving and CaseNfloat.

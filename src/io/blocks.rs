@@ -1,5 +1,5 @@
-//! Joins the blocks of a frame, which a list of frames or of blocks names, and leaves out blocks
-//! that hold no particles. Describes such blocks for messages.
+//! Joins the blocks of a frame, whose files a list of frames or of blocks names. Blocks that hold
+//! no particles are left out, and described for messages.
 
 use std::path::Path;
 
@@ -15,7 +15,7 @@ use super::{ParticleFile, ReadError, ReadFault, UnreadPart};
 
 /// Maximum number of blocks that a message lists.
 const SHOWN: usize = 4;
-/// Description of lines, for [`UnreadPart::Block`].
+/// Description of a block of lines, for [`UnreadPart::Block`].
 const LINES: &str = "lines";
 
 /// A block that was opened.
@@ -41,7 +41,7 @@ impl OpenedBlock {
         }
     }
 
-    /// Whether the block has points that are particles in any case.
+    /// Whether the block has points that are certainly particles, not points of lines.
     fn is_particles(&self) -> bool {
         let is_filled = match self {
             Self::Particles(file) => has_points(file),
@@ -52,8 +52,8 @@ impl OpenedBlock {
     }
 }
 
-/// Opens the blocks of a frame of the list at `path`, as one set of particles. A block that is a
-/// list of blocks counts as its own blocks.
+/// Opens the blocks of a frame of the list at `path`, as one set of particles. A block that is
+/// itself a list is replaced by the blocks in it.
 ///
 /// Blocks without particles, such as meshes, are left out. Lines, such as wave gauges or the paths
 /// of particles, are left out if another block contains particles. If only some blocks have the
@@ -111,8 +111,8 @@ pub(super) fn open_blocks(
     Ok(ParticleFile { unselected: joined.unselected + unselected, left_out, ..joined })
 }
 
-/// The blocks, with the blocks of each list of blocks in its place. Blocks without a name get the
-/// name of their list.
+/// Replaces each block that is itself a list by the blocks in it. Blocks without a name get the
+/// name of the list that contains them.
 fn flattened(blocks: &[FrameBlock], wanted: WantedParticles) -> Result<Vec<FrameBlock>, ReadError> {
     let mut all = Vec::new();
     for block in blocks {
@@ -156,7 +156,8 @@ fn has_points(file: &ParticleFile) -> bool {
     !file.particles.is_empty() || file.unselected > 0 || file.ghosts > 0
 }
 
-/// Describes the contents of a block that holds no particles. Returns all other errors.
+/// Describes a block that could not be opened because it holds no particles. Returns `error` if it
+/// has another cause.
 fn other_contents(path: &Path, error: ReadError) -> Result<String, ReadError> {
     match error.fault {
         ReadFault::Mesh { faces } if error.path == path => Ok(described_mesh(faces)),
@@ -167,7 +168,7 @@ fn other_contents(path: &Path, error: ReadError) -> Result<String, ReadError> {
     }
 }
 
-/// The names of the blocks with particles, if they differ.
+/// The names of the blocks with particles, if there are several different names.
 fn joined_names(blocks: &[FrameBlock], files: &[Option<ParticleFile>]) -> Option<UnreadPart> {
     let mut names: Vec<String> = Vec::new();
     for (block, file) in blocks.iter().zip(files) {

@@ -1,6 +1,6 @@
 //! The bytes of an input file. Uncompressed files are read by position. Compressed files are
-//! unpacked into memory or a scratch file. Pipes, and files that their reader needs as a whole, are
-//! also copied into memory or a scratch file.
+//! unpacked into memory or a scratch file. Pipes, and files whose format must be read as a whole,
+//! are also copied into memory or a scratch file.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -331,7 +331,7 @@ impl<'a> From<&'a [u8]> for ByteView<'a> {
     }
 }
 
-/// Number of bytes after which memory is released.
+/// Number of bytes that are read before their memory is released.
 const WINDOW: u64 = 1 << 20;
 
 /// Reads bytes sequentially, and releases the memory of the bytes behind its position.

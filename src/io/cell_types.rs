@@ -16,7 +16,7 @@ pub(super) const PIXEL: i64 = 8;
 pub(super) const QUAD: i64 = 9;
 
 /// Whether cells of this type have an area or a volume. Empty cells, vertices and lines have none.
-/// Programs write lines as the bonds or the paths of particles.
+/// Programs use lines for the bonds between particles and for the paths of particles.
 pub(super) fn is_face(kind: i64) -> bool {
     !(0..TRIANGLE).contains(&kind)
 }

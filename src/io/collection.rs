@@ -85,8 +85,8 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
 }
 
 /// Opens frame number `number` of a list. Without a number, the list must have a single frame. If
-/// the frame has several data sets, those without particles are left out, and those of lines unless
-/// there are no others.
+/// the frame has several data sets, leaves out those without particles. Also leaves out data sets
+/// of lines if another data set contains particles.
 ///
 /// # Errors
 /// [`ReadError`] if the list or a file of the frame cannot be read, and [`ReadFault::Unsupported`]
@@ -175,7 +175,7 @@ struct FileOfSeries {
 fn series(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault> {
     let series: FileSeries = serde_json::from_slice(bytes)
         .map_err(|fault| ReadFault::Line { line: fault.line() as u64, what: fault.to_string() })?;
-    // If all times are equal, they are no times.
+    // If all times are equal, they are placeholders, not times.
     let mut times: Vec<u64> =
         series.files.iter().filter_map(|file| file.time).map(f64::to_bits).collect();
     times.sort_unstable();

@@ -66,11 +66,11 @@ fn in_batches<T: Send>(
     take_all(&mut ready[..made], take)
 }
 
-/// The values that were made from a piece, and whether making them succeeded.
+/// The values that `make` appended for a piece, and whether it succeeded.
 type Made<T> = (Vec<T>, io::Result<()>);
 
-/// Makes the values of `pieces` on the thread pool, at most one piece per buffer, while `meanwhile`
-/// runs on this thread. Returns the number of pieces whose values were made.
+/// Calls `make` on the thread pool for the first of `pieces`, one for each buffer, while
+/// `meanwhile` runs on this thread. Returns the number of pieces for which `make` was called.
 fn make_while<T: Send>(
     buffers: &mut [Made<T>],
     pieces: Range<usize>,

@@ -1,5 +1,5 @@
-//! Interprets named arrays of numbers. Finds the position, the axis of the particles, and the
-//! attributes.
+//! Interprets named arrays of numbers. Finds the position, the attributes, and the axis along which
+//! the particles lie.
 
 use super::error::{no_step, several_steps};
 use super::names::{Quantity, is_preferred_position, quantities};
@@ -78,7 +78,8 @@ pub struct Arrangement {
 }
 
 impl Arrangement {
-    /// The numbers of the frames. Empty if there is a single frame, or if there are no particles.
+    /// The step numbers of the frames. Empty if there is a single frame, or if there are no
+    /// particles.
     pub fn steps(&self) -> Vec<u64> {
         // Ignores frames without particles: they take no bytes, so the file's size does not limit
         // their number.
@@ -131,8 +132,8 @@ impl Axes {
     }
 }
 
-/// Names and places of the columns of arrays. A vector gives three columns, with the names
-/// `name.x`, `name.y` and `name.z`.
+/// Names and places of the columns of arrays. A vector has three columns, with the names `name.x`,
+/// `name.y` and `name.z`.
 struct NamedColumns<'a> {
     fields: &'a [NamedArray],
     names: Vec<String>,
@@ -162,7 +163,7 @@ impl<'a> NamedColumns<'a> {
         self.places.extend(places);
     }
 
-    /// Separates the position from the other quantities.
+    /// Returns the position and the other quantities. `None` if there is no position.
     fn position(self) -> Option<(LocatedQuantity, Vec<LocatedQuantity>)> {
         let Self { names, places, others, .. } = self;
         let found = |q: Quantity| LocatedQuantity {
@@ -312,7 +313,7 @@ pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
     })
 }
 
-/// A shape in Python's notation.
+/// The shape of an array in Python's notation.
 pub fn shown(shape: &[u64]) -> String {
     match shape {
         [one] => format!("({one},)"),

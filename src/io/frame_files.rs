@@ -9,7 +9,7 @@ use super::input_format::InputFormat;
 use super::input_format::extension;
 use super::{ReadError, bi4, vtp};
 
-/// The pieces that the file at `path` names. Empty for formats that do not name pieces.
+/// The pieces that the file at `path` lists. Empty for formats that do not list pieces.
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be read.

@@ -3,7 +3,7 @@
 //! Programs that divide cells among pieces flag cells, not points. In a set of particles, each cell
 //! is a vertex that refers to one point. If all cells are vertices, a point is left out if it has
 //! at least one cell and all of its cells are flagged. If there are other cells, the flags of cells
-//! are ignored. This takes one bit of memory per cell, and two bits per point.
+//! are ignored. The flags take one bit of memory per cell, and two bits per point.
 
 use std::ops::Range;
 
@@ -147,8 +147,8 @@ pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
 }
 
 impl ParticleFile {
-    /// Keeps the points in the ranges `left`, or all points if it is `None`. The removed points are
-    /// counted as ghosts.
+    /// Keeps the points in the ranges `left`, or all points if `left` is `None`. The removed points
+    /// are counted as ghosts.
     pub(super) fn with_points(mut self, left: Option<Vec<Range<usize>>>) -> Self {
         if let Some(left) = left {
             let all = self.particles.len();

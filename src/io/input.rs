@@ -71,7 +71,7 @@ pub fn open_wanted(
     if step.is_none()
         && let Some((blocks, format)) = blocks_of(file, wanted.format)?
     {
-        // A named format is that of the list.
+        // `wanted.format` is the format of the list, not of the files in it.
         let wanted = WantedParticles { format: None, ..wanted };
         let opened = open_blocks(path, &blocks, wanted, unpacking)?;
         return Ok(ParticleFile { format, ..opened });
@@ -80,7 +80,7 @@ pub fn open_wanted(
     file.selected(wanted.conditions, unpacking).map_err(|fault| ReadError::new(path, fault))
 }
 
-/// The blocks that a list of blocks and its nested lists name, and the name of the list's format.
+/// The blocks in a list of blocks and in its nested lists, and the name of the list's format.
 /// `None` for other files. `format` overrides the format that the extension implies.
 ///
 /// # Errors

@@ -139,7 +139,7 @@ pub enum UnreadPart {
         /// The last time.
         last: String,
     },
-    /// Earlier frames with the number of the frame that is read.
+    /// Earlier frames that have the same number as the frame that is read.
     RepeatedStep,
     /// An array with more numbers per particle than an attribute can have.
     WideArray {
@@ -148,7 +148,7 @@ pub enum UnreadPart {
         /// Number of values per particle.
         numbers: u64,
     },
-    /// The name of an array of cell data, unless the reader uses it as point data.
+    /// The name of an array of cell data that the reader does not use as point data.
     CellData(String),
     /// Arrays `x`, `y` and `z` whose length is not the number of particles.
     Coordinates {

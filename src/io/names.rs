@@ -222,7 +222,7 @@ fn grouped(names: &[&str]) -> Option<(Quantity, Vec<Quantity>)> {
 /// such names for all three axes.
 fn with_plain_axes<'a>(names: &[&'a str]) -> Option<Vec<&'a str>> {
     let found: Vec<_> = names.iter().map(|name| axis_in_name(name)).collect();
-    // If there is also `y1`, the names `x1`, `x2` and `x3` are the x of three points.
+    // If there is also `y1`, the names `x1`, `x2` and `x3` are the x coordinates of three points.
     let is_point = names.iter().any(|name| name.eq_ignore_ascii_case("y1"));
     let is_complete = |kind: &str| {
         let times = |axis| found.iter().filter(|found| **found == Some((kind, axis))).count();
@@ -284,7 +284,7 @@ pub fn repeated_position(names: &[String]) -> Option<&str> {
     names.iter().find(|name| *name == found).map(String::as_str)
 }
 
-/// The axis of a position that a name gives: 0 for `x`, `pos_x` or `Position[x]`.
+/// The axis of the position column that has this name: 0 for `x`, `pos_x` or `Position[x]`.
 pub fn position_axis(name: &str) -> Option<usize> {
     let axis = component(name).and_then(|((stem, _), axis)| {
         let stem = stem.trim_end_matches(JOINTS);
@@ -348,9 +348,8 @@ pub fn is_preferred_position(name: &str) -> bool {
     preferred.into_iter().any(|position| name.eq_ignore_ascii_case(position))
 }
 
-/// The names without units, including units that follow a name without a blank, as in `vx[m/s]` or
-/// `vx/(m/s)`.
-/// Names that would become equal are kept.
+/// The names without units, even units that follow a name without a blank, as in `vx[m/s]` or
+/// `vx/(m/s)`. Names that would become equal keep their units.
 pub fn bare_names(names: &[String]) -> Vec<String> {
     let bare: Vec<&str> = names.iter().map(|name| bare_name(name)).collect();
     let mut times = HashMap::new();
@@ -362,7 +361,7 @@ pub fn bare_names(names: &[String]) -> Vec<String> {
         .collect()
 }
 
-/// The name without its unit, including a unit that follows it without a blank.
+/// The name without its unit, even if the unit follows the name without a blank.
 pub fn bare_name(name: &str) -> &str {
     // The index of a component, as in `vel[0]` or `stress[xy]`, is not a unit.
     let is_index =

@@ -267,7 +267,7 @@ impl NpyHeader {
         Column { offset, stride: strides[rows], scalar: member.scalar, endian: member.endian }
     }
 
-    /// Distances, in bytes, between neighbours along each axis.
+    /// Distances, in bytes, between neighbouring numbers along each axis.
     fn strides(&self, member: &StructMember) -> Vec<usize> {
         fn running(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
             let mut strides = vec![0; sizes.len()];
@@ -376,7 +376,7 @@ fn element(descr: &str) -> Option<(Endian, Scalar)> {
     known.then_some((endian, scalar))
 }
 
-/// Parses a shape such as `(N, 3)`. Errors report the position `at`.
+/// Parses a shape such as `(N, 3)`. Errors report byte `at`.
 fn shape(shape: &str, at: usize) -> Result<Vec<u64>, ReadFault> {
     let inside = shape.strip_prefix('(').and_then(|rest| rest.split_once(')'));
     let (inside, _) = inside.ok_or_else(|| malformed(at, "'shape' is not a tuple"))?;

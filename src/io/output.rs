@@ -382,7 +382,8 @@ impl OpenedMesh {
     }
 }
 
-/// Memory, in bytes, per byte of a binary mesh file, for the file's bytes and the resulting mesh.
+/// Memory, in bytes, that the contents of a binary mesh file and the resulting mesh need, per byte
+/// of the file.
 const BYTES_A_BYTE: u64 = 3;
 
 /// Opens the mesh at `path`. A .ply file that this library wrote is streamed if the whole mesh
@@ -428,7 +429,8 @@ pub struct MeshOutput {
 
 impl MeshOutput {
     /// Checks, before the mesh is computed, that a mesh can be written to `path`. The extension
-    /// selects the format. Pipes and devices need no extension. Without one, their format is .ply.
+    /// selects the format. Pipes and devices need no extension. Without an extension, their format
+    /// is .ply.
     ///
     /// # Errors
     /// [`WriteFault::UnknownExtension`], and the errors of [`WholeFile::prepare`].

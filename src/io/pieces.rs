@@ -34,7 +34,7 @@ pub struct Pieces {
     labels: Vec<Label>,
     /// For every piece, the source of each attribute in `infos`.
     sources: Vec<Vec<Source>>,
-    /// For every piece, its number in the input. Pieces without particles have no entry.
+    /// For every piece that contains particles, its number in the input.
     of_input: Vec<usize>,
 }
 

@@ -141,7 +141,7 @@ impl<'a> Scanner<'a> {
     }
 }
 
-/// The number of line ends.
+/// The number of line ends in `text`.
 fn ends(text: &[u8]) -> u64 {
     text.iter().filter(|&&b| b == b'\n').count() as u64
 }
@@ -251,8 +251,8 @@ impl<'a> Lines<'a> {
         Err(malformed(self.at, "expected a line of text"))
     }
 
-    /// An error in the line that contains byte `at`, or the error if the file cannot be read up to
-    /// this byte.
+    /// An error in the line that contains byte `at`. If the file cannot be read up to this byte,
+    /// returns the read error instead.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         let pieces = (0..at).step_by(LONGEST_LINE).map(|start| start..at.min(start + LONGEST_LINE));
         let counted =

@@ -45,7 +45,7 @@ pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
     agreed(tanks)
 }
 
-/// The first value, unless another value differs.
+/// The first value. `None` if there is no value, or if a later value differs from the first.
 fn agreed<T: PartialEq, P>(mut values: impl Iterator<Item = (T, P)>) -> Option<(T, P)> {
     let first = values.next()?;
     values.all(|(other, _)| other == first.0).then_some(first)

@@ -96,8 +96,8 @@ const LIST: &str = ".json";
 /// Maximum size, in bytes, of a .json list that is read. It allows about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
 
-/// The numbers and the file names of the frames in the .json list of a simulation, whose meshes
-/// without their numbers have the path `simulation`. Empty without such a list.
+/// The numbers and the file names of the frames in the .json list of a simulation. `simulation` is
+/// the path of its meshes without their numbers. Empty if there is no such list.
 #[must_use]
 pub fn listed_meshes(simulation: &Path) -> Vec<(i64, String)> {
     let text = fs::read(appended(simulation, LIST)).unwrap_or_default();
@@ -168,8 +168,7 @@ impl Series {
         self.simulation.with_extension("usda")
     }
 
-    /// The reason why programs could not play the lists at this path, as a message. `None` if they
-    /// can.
+    /// A message that says why programs could not play lists at this path. `None` if they could.
     #[must_use]
     pub fn path_fault(&self) -> Option<String> {
         let MeshFormat::Usdc(_) = self.format else { return None };

@@ -5,8 +5,8 @@
 //! No other part of the library identifies vertices by position. If a mesh touches itself, the
 //! reader joins it there. Binary coordinates are f32, and there are no attributes.
 //!
-//! The writer keeps the positions of all vertices in memory, 24 bytes each, unless the mesh already
-//! does.
+//! The writer keeps the positions of all vertices in memory, 24 bytes each, unless the mesh itself
+//! already has them in memory.
 
 use std::borrow::Cow;
 use std::io::{self, Write};

@@ -71,7 +71,7 @@ pub(super) fn decode_windows<T: Send>(
     };
     let decode = |piece: Range<usize>| source.with(piece, &decode);
     let decoded = in_pieces(range, end_from, decode, take, |done| source.release(done));
-    // A failed read returned zeros, so the result is valid only if this check succeeds.
+    // A failed read returns zeros, so the result is valid only if this check succeeds.
     source.check().map_err(ReadFault::from)?;
     decoded
 }

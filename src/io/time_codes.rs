@@ -1,9 +1,9 @@
 //! Time codes of a simulation's frames, and the frame rate that their times imply.
 //!
 //! A time code is a time in units of one frame of the scene that plays the meshes. Programs show
-//! whole time codes, and each mesh from its own time code on. If the time code of a mesh is 4.00001
-//! instead of 4, for example because its time was printed with six digits, programs show the mesh
-//! only at 5. So time codes that are close to a whole number are rounded.
+//! only whole time codes, and show each mesh from its own time code on. If the time code of a mesh
+//! is 4.00001 instead of 4, for example because its time was printed with six digits, programs show
+//! the mesh only at 5. So time codes that are close to a whole number are rounded.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -37,8 +37,9 @@ const IMPLIED: RangeInclusive<f64> = 1.0..=1000.0;
 /// for example.
 const DIVIDED: [f64; 5] = [24.0, 30.0, 48.0, 60.0, 120.0];
 
-/// Minimum number of frames that show the step of a simulation, so that a last frame off this step
-/// counts as the state at the end of the simulation, which many programs write in addition.
+/// Minimum number of frames that must follow the step of a simulation before its last frame may be
+/// off this step. Many programs also write the state at the end of the simulation, whatever its
+/// time.
 pub(crate) const REGULAR: usize = 4;
 
 /// The time of a frame in the lists and archives of a simulation.
@@ -115,11 +116,11 @@ pub(super) struct Timeline {
 }
 
 impl Timeline {
-    /// Makes the timeline of frames that are sorted by number. `fps` is the frame rate in frames
+    /// Creates the timeline of frames that are sorted by number. `fps` is the frame rate in frames
     /// per second, if it is given.
     ///
     /// The times are those of the frames, if these are strictly increasing, and otherwise the frame
-    /// numbers. Time codes are strictly increasing, too.
+    /// numbers. Time codes are also strictly increasing.
     pub fn of(frames: &[SeriesFrame], fps: Option<f64>) -> Self {
         Self::of_times(frames, fps).unwrap_or_else(|| Self::of_numbers(frames, fps))
     }
@@ -186,9 +187,9 @@ fn is_increasing(values: &[f64]) -> bool {
 /// Converts increasing times in seconds to time codes.
 ///
 /// All time codes are rounded, if all are within [`TOLERANCE_OF_ALL`] of different whole numbers.
-/// Otherwise, a time code is rounded if it is within [`TOLERANCE`] of a whole number, in units of
-/// the smallest of 1 and the distances to the time codes before and after it. So rounding never
-/// makes two time codes equal.
+/// Otherwise, a time code is rounded if its distance to a whole number is at most [`TOLERANCE`]
+/// times the smallest of 1 and its distances to the time codes before and after it. So rounding
+/// never makes two time codes equal.
 fn time_codes(times: &[f64], codes_per_second: f64) -> Vec<f64> {
     let exact: Vec<f64> = times.iter().map(|time| time * codes_per_second).collect();
     // Adding 0 turns -0 into 0.

@@ -124,8 +124,8 @@ impl Triangles {
         Ok(())
     }
 
-    /// Adds the triangles of a strip: every three consecutive corners, with every second one
-    /// reversed.
+    /// Adds the triangles of a strip. Every three consecutive corners form a triangle, and every
+    /// second triangle is reversed.
     pub fn strip(&mut self, face: usize, at: usize, corners: &[i64]) -> Result<(), ReadFault> {
         self.check(face, at, corners)?;
         self.triangles.extend(corners.windows(3).enumerate().map(|(i, c)| {

@@ -73,7 +73,8 @@ pub enum WantedAttributes<'a> {
         names: Option<&'a [String]>,
         /// Conditions by which particles are selected.
         conditions: &'a [Where],
-        /// Selects the attributes that give the sizes of the particles. These are read too.
+        /// Selects the attributes that give the sizes of the particles. These attributes are also
+        /// read.
         sizes: &'a SizeChoice,
     },
 }

@@ -192,8 +192,8 @@ impl FilledFile {
             WriteTarget::Direct => Ok(()),
             WriteTarget::Temporary { file, place, replace } => {
                 let synced = file.as_file().sync_all();
-                // Locks the parent folder, so that the folder and the file that names it come from
-                // the same process.
+                // Locks the parent folder, so that the folder of further files and the file that
+                // names them come from the same process.
                 let _turn = folder.as_ref().and_then(|_| turn(&place));
                 let before =
                     |folder: FolderInProgress| folder.keep(&place, replace == Replace::Allow);
@@ -219,8 +219,8 @@ pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
 }
 
 /// Removes temporary files that killed processes left in `folder`. Temporary files of running
-/// processes stay, because they are locked. This includes processes on other machines that share
-/// the folder.
+/// processes stay, because they are locked. The locks also work for processes on other machines
+/// that share the folder.
 pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
@@ -344,8 +344,8 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     }
 }
 
-/// Converts an error of writing. An error that the format's writer raises has no system error
-/// number.
+/// Converts an error that occurred during writing. An error that the format's writer raises has no
+/// system error number.
 pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     match (fault.kind(), fault.raw_os_error()) {
         (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,

@@ -193,9 +193,9 @@ impl WindowPool {
         file_bytes.min((Self::most() * LARGE) as u64)
     }
 
-    /// Takes a window that contains byte `at` of file number `file`, or else one that ends there.
-    /// If there is none, returns an empty window with a new buffer, or with the buffer of the least
-    /// recently used window.
+    /// Takes a window that contains byte `at` of file number `file`, or else one that ends at this
+    /// byte. If there is none, returns an empty window with a new buffer, or with the buffer of the
+    /// least recently used window.
     fn take(&self, file: u64, at: usize) -> FileWindow {
         let mut idle = self.idle.lock().unwrap_or_else(PoisonError::into_inner);
         let holds =

@@ -16,12 +16,12 @@ use super::{AttributeInfo, AttributeKind, Label, Particles, RereadError, carried
 pub struct AlikeParticles<'a> {
     particles: &'a dyn Particles,
     attributes: Vec<AttributeInfo>,
-    /// The alpha of an opaque colour, for each attribute. 0 for attributes that are no colours.
+    /// For each attribute, the alpha of an opaque colour; 0 if the attribute is not a colour.
     opaque: Vec<f32>,
     changed_alpha: Vec<AlphaChange>,
 }
 
-/// A colour that has alpha, unlike in other frames, or the reverse.
+/// A colour that has alpha in this frame but not in the other frames, or the reverse.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AlphaChange {
     /// The attribute's name on the mesh.
@@ -34,8 +34,8 @@ pub struct AlphaChange {
 
 impl<'a> AlikeParticles<'a> {
     /// Converts the attributes with the indices in `carried` to the types in `known`. Reads the
-    /// values of the attributes that it converts. An attribute of which `known` contains no type
-    /// keeps its own.
+    /// values of the attributes that it converts. An attribute that `known` does not contain keeps
+    /// its own type.
     ///
     /// # Errors
     /// [`KindFault`] for values that the shared type cannot represent.
@@ -101,16 +101,16 @@ impl<'a> AlikeParticles<'a> {
         Ok(())
     }
 
-    /// The number of components of an attribute if the frame stores another number than the shared
-    /// type has.
+    /// The number of components that the frame stores for an attribute. `None` if the shared type
+    /// has the same number.
     fn other_components(&self, index: usize) -> Option<usize> {
         let own = self.particles.attributes()[index].components;
         (own != self.attributes[index].components).then_some(own)
     }
 }
 
-/// The minimum and maximum over 0 and all values of an attribute of floating-point numbers, or a
-/// value that is not a whole number.
+/// The minimum and maximum over 0 and all values of an attribute of floating-point numbers. The
+/// error is a value that is not a whole number.
 fn extremes_of_floats(particles: &dyn Particles, index: usize) -> Result<[i64; 2], f64> {
     let components = particles.attributes()[index].components;
     let of_chunk = |range: Range<usize>| {
@@ -196,7 +196,7 @@ impl Particles for AlikeParticles<'_> {
         if stored.kind.is_whole() {
             return self.particles.integers(index, first, out);
         }
-        // Floating-point numbers of 64 bits are exact for larger integers than those of 32 bits.
+        // Reads f64, because f32 cannot represent large integers exactly.
         let components = stored.components;
         let mut values = vec![0.0; out.len() / components];
         for component in 0..components {

@@ -150,8 +150,8 @@ fn split(text: &str, separator: impl Fn(&str) -> Option<usize>) -> Vec<&str> {
     pieces
 }
 
-/// The length of the separator at the start of a text: `&&`, or `and` between spaces. The spaces
-/// before `and` count.
+/// The length of the separator at the start of a text: `&&`, or `and` between spaces. The length
+/// includes the spaces before `and`.
 fn and(text: &str) -> Option<usize> {
     if text.starts_with("&&") {
         return Some(2);

@@ -66,7 +66,8 @@ pub enum KindFault {
         /// The greatest value.
         greatest: f32,
     },
-    /// An integer colour in a sequence whose colours are from 0 to 255.
+    /// An integer colour with a value outside the range from 0 to 255, in a sequence whose colours
+    /// are in this range.
     #[error(
         "colour {name:?} has the value {value}, but the calibration frame (usually the first) has \
          integers from 0 to 255; store colours in the same way in all frames, begin with a frame \
@@ -127,8 +128,8 @@ impl SettledKind {
     }
 }
 
-/// Replaces kinds that the values of one frame do not determine with kinds in `found`, from the
-/// values of another frame.
+/// Updates `kinds`, which come from one frame, with `found`, the kinds from another frame. A kind
+/// is replaced if the values of the other frame determine it, but those of its own frame do not.
 pub fn determine(kinds: &mut [SettledKind], found: Vec<SettledKind>) {
     for found in found {
         if let Some(known) = kinds.iter_mut().find(|known| known.is_determined_by(&found)) {
@@ -137,7 +138,7 @@ pub fn determine(kinds: &mut [SettledKind], found: Vec<SettledKind>) {
     }
 }
 
-/// If the greatest value of a floating-point colour exceeds this, the values are from 0 to 255.
+/// If the greatest value of a floating-point colour exceeds this number, the scale is 0 to 255.
 const BRIGHT: f32 = 16.0;
 
 /// The greatest value of a colour in bytes.
@@ -346,8 +347,9 @@ pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<Sett
     settled.collect()
 }
 
-/// The vertex attributes, with the known kinds of those that `known` contains. A frame without
-/// particles also has the other known attributes, so that all frames have the same ones.
+/// The vertex attributes; those that `known` contains have their known kinds. A frame without
+/// particles also gets the other attributes in `known`, so that all frames have the same
+/// attributes.
 #[must_use]
 pub fn known_of(
     particles: &dyn Particles,

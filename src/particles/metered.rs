@@ -15,7 +15,7 @@ pub struct MeteredParticles<'a> {
 }
 
 impl<'a> MeteredParticles<'a> {
-    /// Counts the particles that `stage` reads. It must read each particle once, unless
+    /// Counts the particles that `stage` reads. The stage must read each particle once, unless
     /// [`readings`](Self::readings) sets another number.
     pub fn new(particles: &'a dyn Particles, control: &'a Control, stage: Stage) -> Self {
         Self { particles, control, meter: control.meter(stage, particles.len()) }

@@ -61,16 +61,18 @@ const FINEST: f64 = 32.0;
 const OVERLAP: f64 = 0.1;
 /// Maximum thickness of a floor, in mean distances between its particles.
 const FLOOR: f64 = 5.0;
-/// Average number of fluid particles in a cell of this grid.
+/// Average number of fluid particles in a cell of the grid that finds the inside of the fluid.
 const IN_CELL: f64 = 8.0;
 /// Maximum fraction of a boundary's particles that may be inside the fluid.
 const WITHIN: f64 = 0.02;
-/// Minimum fraction of the inner cells of a bounding box that are inside a fluid that fills the box.
+/// If at least this fraction of a bounding box's inner cells is inside the fluid, the fluid fills
+/// the box.
 const FILLED: f64 = 0.5;
 /// Minimum number of cells along each axis for which cells can be inside the fluid.
 const LEAST_CELLS: i32 = 3;
-/// Maximum number of boundary particles in the bounding box of a fluid with fewer cells, as a
-/// multiple of the number of fluid particles. Among a few tracers, there are many more.
+/// Maximum number of boundary particles in the bounding box of a fluid that has fewer than
+/// [`LEAST_CELLS`] cells along each axis, as a multiple of the number of fluid particles. The
+/// bounding box of a few tracers contains many more particles.
 const AMONG: f64 = 0.5;
 
 /// Whether the name of an attribute suggests materials.
@@ -190,7 +192,7 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
         visit(key, cells, &|cell| wet[cell].store(true, Ordering::Relaxed));
         wet.into_iter().map(AtomicBool::into_inner).collect()
     };
-    // Water around a body fills its bounding box, and a tank does not.
+    // Water around a body fills its own bounding box, but the particles of a tank do not.
     let fills: Vec<bool> = values
         .iter()
         .zip(&extents)

@@ -137,8 +137,7 @@ fn counted(particles: &dyn Particles, source: AttributeOrLabel) -> Option<BTreeM
     (!joined.is_empty() && joined.len() * 2 <= all).then_some(joined)
 }
 
-/// The sort key of a number: integers that are ordered as the numbers are. Both zeros give the same
-/// key.
+/// The sort key of a number. Keys are ordered like the numbers, and -0 has the same key as 0.
 fn ordered(number: f64) -> u64 {
     let bits = (number + 0.0).to_bits();
     if bits >> 63 == 1 { !bits } else { bits | 1 << 63 }

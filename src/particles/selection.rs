@@ -77,8 +77,8 @@ pub enum SelectionFault {
         of: usize,
         /// The conditions.
         conditions: String,
-        /// The distinct values of the attributes in the conditions, for attributes with few of
-        /// them.
+        /// The distinct values of the attributes in the conditions, for attributes with few
+        /// distinct values.
         values: Vec<ValueCounts>,
     },
     /// The particles cannot be read.
@@ -110,7 +110,7 @@ fn occur(values: &[ValueCounts]) -> String {
     values.iter().map(one).collect()
 }
 
-/// Says in a message how many components an attribute has, and how to name one of them.
+/// Part of a message that says how many components an attribute has, and how to name one of them.
 fn with_components(attribute: &str, components: usize) -> String {
     let example = match components {
         1 => return format!("the attribute is a single number; use {attribute}"),
@@ -122,7 +122,7 @@ fn with_components(attribute: &str, components: usize) -> String {
     )
 }
 
-/// The number of each particle that a condition tests.
+/// Says which number of each particle a condition tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ConditionOperand {
     /// A component of an attribute.

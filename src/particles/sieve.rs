@@ -65,8 +65,8 @@ impl Sieve {
         Self::new(words)
     }
 
-    /// The smallest range of rows that contains the rows with the numbers `selected` among the
-    /// selected rows.
+    /// The smallest range of rows that contains the selected rows whose numbers, counted among the
+    /// selected rows, are in `selected`.
     pub fn around(&self, selected: Range<usize>) -> Range<usize> {
         let row = |number| self.rows(number).next();
         match (row(selected.start), selected.end.checked_sub(1).and_then(row)) {
@@ -80,7 +80,7 @@ impl Sieve {
         self.words[row / WORD] >> (row % WORD) & 1 != 0
     }
 
-    /// The selected rows in order, starting with number `first` among them.
+    /// The selected rows in order, starting with selected row number `first`.
     pub fn rows(&self, first: usize) -> impl Iterator<Item = usize> + '_ {
         let group = self.before.partition_point(|&before| before <= first).saturating_sub(1);
         let mut skipped = first - self.before.get(group).copied().unwrap_or(first);

@@ -33,7 +33,7 @@ const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
 const MASSES: [&str; 4] = ["mass", "masses", "particlemass", "m"];
 const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"];
 
-/// Sizes that differ by less than this factor are one size.
+/// Sizes that differ by less than this factor count as one size.
 const ONE_SIZE: f64 = 1.1;
 /// Maximum ratio of the largest to the smallest size. Larger particles are treated as having this
 /// many times the smallest size.
@@ -282,8 +282,8 @@ impl SizeAttributes {
         Ok(Self { size, density, meaning, if_masses_differ: None })
     }
 
-    /// Whether the attributes give sizes. If they do so only where masses differ, the masses must
-    /// differ as much as they do between resolutions.
+    /// Whether the attributes give sizes. If `if_masses_differ` names masses, the largest mass,
+    /// apart from outliers, must be at least `OTHER_MASS` times the smallest.
     pub fn are_sizes(&self, particles: &dyn Particles) -> bool {
         let Some(size) = self.if_masses_differ else { return true };
         let masses = Self { size, density: None, meaning: Meaning::Diameter, ..*self };
@@ -392,7 +392,7 @@ impl Sizes {
         })
     }
 
-    /// Measures the density again if it could not be measured before, because the cells were
+    /// Measures the density again if it could not be measured before, as happens if the cells were
     /// derived from wrong sizes. The new cells are derived from `spacing`, the largest spacing of
     /// the particles according to their neighbours.
     pub fn scale_by_spacing(
@@ -408,9 +408,9 @@ impl Sizes {
         }
     }
 
-    /// Reduces the sizes if the density could not be measured before, and if it is too high in
-    /// cells half as large, for which `spacing` is the largest spacing of the particles. A low
-    /// density proves nothing in such cells, because they can be partly empty.
+    /// Reduces the sizes if the density could not be measured before, but is too high if measured
+    /// in cells half as large. The cells are derived from `spacing`, the largest spacing of the
+    /// particles. A low density proves nothing in such cells, because they can be partly empty.
     pub fn reduce_if_too_dense(
         &mut self,
         particles: &dyn Particles,

@@ -165,7 +165,7 @@ impl Device {
             let local = |kind: &vk::MemoryType| {
                 kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
             };
-            // This is the first of the best types. The exporter makes the same choice.
+            // This is the first of the best memory types. The exporter makes the same choice.
             let (kind, _) = fitting
                 .min_by_key(|(_, kind)| !local(kind))
                 .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;
@@ -204,7 +204,7 @@ impl Device {
     }
 
     /// Makes a buffer that is not bound to memory yet, if the memory limit allows the buffer.
-    /// Dropping the buffer frees everything that was made for it.
+    /// Dropping the buffer frees everything that was allocated for it.
     fn unbound(
         &self,
         bytes: u64,
@@ -262,7 +262,7 @@ impl Device {
         Ok(buffer.whole())
     }
 
-    /// Wraps a buffer that the caller has made on the same device. The caller must destroy this
+    /// Wraps a buffer that the caller has created on the same device. The caller must destroy this
     /// buffer.
     ///
     /// # Safety
@@ -303,7 +303,7 @@ impl Buffer {
     /// If the driver cannot export the memory.
     ///
     /// # Panics
-    /// If the buffer was not made to be exported.
+    /// If the buffer was not created for export.
     #[cfg(unix)]
     pub fn export(&self) -> Result<std::os::fd::OwnedFd, VulkanError> {
         use std::os::fd::FromRawFd;
@@ -419,7 +419,7 @@ impl View {
         let Buffer { device, raw, memory, .. } = &*self.buffer;
         let info = vk::BufferDeviceAddressInfo::default().buffer(*raw);
         let known = device.addresses && !matches!(memory, BufferMemory::External);
-        // SAFETY: the buffer belongs to the device, and was made with an address.
+        // SAFETY: the buffer belongs to the device, and was created with an address.
         known.then(|| unsafe { device.raw.get_buffer_device_address(&info) } + self.offset)
     }
 

@@ -38,8 +38,9 @@ pub struct DeviceOptions {
     /// Whether buffers have [addresses](super::View::address). The device needs
     /// `bufferDeviceAddress`, and an adopted device must have it enabled.
     pub addresses: bool,
-    /// Whether buffers can be made for [other interfaces and processes](Device::exported_buffer).
-    /// The device needs `VK_KHR_external_memory_fd`, and an adopted device must have it enabled.
+    /// Whether buffers can be created for [other interfaces and
+    /// processes](Device::exported_buffer). The device needs `VK_KHR_external_memory_fd`, and an
+    /// adopted device must have it enabled.
     pub exports: bool,
     /// Additional usages of the buffers of an adopted device, such as building acceleration
     /// structures.
@@ -100,7 +101,7 @@ pub struct Timing {
 pub struct Counters {
     /// Number of submitted batches.
     pub submissions: u64,
-    /// Number of buffers that were made.
+    /// Number of buffers that were created.
     pub allocations: u64,
     /// Bytes that the host wrote for the device.
     pub sent: u64,
@@ -253,15 +254,16 @@ impl Device {
     ///
     /// # Errors
     /// [`VulkanError::Unsuitable`] for a device that lacks a required feature; other errors if
-    /// there is no memory for the objects that are made here.
+    /// there is no memory for the objects that are created here.
     ///
     /// # Safety
-    /// - All handles must belong together, be made for Vulkan 1.2 or later with `timelineSemaphore`
-    ///   enabled, and live as long as the returned object and everything made with it.
+    /// - All handles must belong together, be created for Vulkan 1.2 or later with
+    ///   `timelineSemaphore` enabled, and live as long as the returned object and everything
+    ///   created with it.
     /// - A queue may be adopted only once at a time. During a call into this crate, nothing else
     ///   may submit to the queue, and no earlier submission may wait for later actions of the
     ///   calling thread.
-    /// - Buffers made here belong to the queue's family: other families need a transfer of
+    /// - Buffers created here belong to the queue's family: other families need a transfer of
     ///   ownership, and every reader on the device needs a dependency on compute shaders and
     ///   transfers. A buffer must not be dropped before the caller's own commands on it have
     ///   finished.
@@ -322,7 +324,7 @@ impl Device {
             Ok(allocator) => allocator,
             Err(_) => {
                 if owner.is_some() {
-                    // SAFETY: nothing was made with the device.
+                    // SAFETY: nothing was created with the device.
                     unsafe { raw.destroy_device(None) };
                 }
                 return Err(VulkanError::OutOfMemory { bytes: 0 });

@@ -215,7 +215,7 @@ fn emulated_f64_arithmetic_matches_the_cpu() {
 
 // Tests of bins.
 
-/// Bins whose particles are sorted by their bits, so that the order of threads does not matter.
+/// Bins whose records are sorted, so that the order of threads does not matter.
 #[derive(Debug, PartialEq)]
 struct Sorted {
     keys: Vec<MortonKey>,

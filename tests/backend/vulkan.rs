@@ -627,7 +627,7 @@ impl Scene {
         DeviceOptions { shares_host_memory, ..DeviceOptions::default() }
     }
 
-    /// The expected mesh, made on the CPU.
+    /// The expected mesh, computed on the CPU.
     fn mesh(self) -> Mesh {
         reconstruct(&splashes(29)[..], &self.sampling(), &surfacing()).1.mesh
     }

@@ -31,7 +31,7 @@ impl Mirrors {
         Self([walls.lo * 2, walls.hi * 2])
     }
 
-    /// The planes in cells twice as wide, rounded outwards.
+    /// Returns the same planes in halves of cells that are twice as wide, rounded outwards.
     pub fn wider(self) -> Self {
         let [lo, hi] = self.0;
         Self([lo.div_euclid(IVec3::splat(2)), (hi + 1).div_euclid(IVec3::splat(2))])

@@ -47,12 +47,12 @@ const FARTHEST_APART: f64 = 1.0;
 const APART: [f64; 2] = [0.07, 0.14];
 /// Depths, in spacings, between which the fine surface is faded out.
 const DEEP: [f64; 2] = [0.3, 0.9];
-/// Distances outside the calm surface, in spacings. From the first on, a particle begins to stand
-/// out; from the second on, it stands out fully.
+/// Distances outside the calm surface, in spacings. At the first distance, a particle begins to
+/// stand out; from the second distance on, it stands out fully.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
 /// A wide cell counts as occupied if it contains at least 1 / `PARTS` of a particle's cloud.
 const PARTS: f64 = 9.0;
-/// Number of bits of precision that wide cells gain when a width is blurred.
+/// Number of bits of precision that the samples of wide cells gain when they are blurred.
 const GAIN: u32 = 2;
 /// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
@@ -62,8 +62,8 @@ const DROP: f64 = 0.6;
 const DROP_CUT: f64 = 2.6;
 /// The radius of a drop, in spacings.
 const DROP_RADIUS: f64 = 0.55;
-/// The radius is reduced by this number divided by the squared spacing, in cells. The first number
-/// applies without refinement, the second with refinement.
+/// The radius of a drop is reduced by this number of spacings, divided by the square of the spacing
+/// in cells. The first number applies without refinement, the second with refinement.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 /// The minimum radius of a drop, in spacings.
 const LEAST_RADIUS: f64 = 0.38;
@@ -126,14 +126,15 @@ fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<Mirrors>) -> 
     })
 }
 
-/// Interpolates between two entries of a table of 1024 steps.
+/// Interpolates linearly between two entries of a table of 1024 steps.
 fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
     let (at, between) = ((share / 32) as usize, share % 32);
     let low = table(at) << bits;
     low + ((((table(at + 1) - table(at)) << bits) * between) >> 5)
 }
 
-/// The step 3 x^2 - 2 x^3, in units of 1 / 4096, between two values in spacings.
+/// The smooth step 3 x^2 - 2 x^3, in units of 1 / 4096, as `value` rises from `begin` to `end`,
+/// both in spacings.
 fn passed(value: i64, [begin, end]: [f64; 2]) -> i64 {
     let (begin, range) = (units(begin), units(end) - units(begin));
     let slope = ((1_i64 << 28) + range - 1) / range;
@@ -220,7 +221,7 @@ impl Distances {
     }
 
     /// The cells between the walls or, without walls, all cells that the field can reach. Without
-    /// walls, the wide cells are complete.
+    /// walls, the box consists of complete wide cells.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
             // Add the distance of a surface from a particle, the reach of the mask that averages
@@ -470,7 +471,7 @@ fn b_spline(x: f64) -> f64 {
     }
 }
 
-/// The step 3 x^2 - 2 x^3 between two values.
+/// The smooth step 3 x^2 - 2 x^3, as `value` rises from `begin` to `end`.
 fn risen(value: f64, [begin, end]: [f64; 2]) -> f64 {
     let x = ((value - begin) / (end - begin)).clamp(0.0, 1.0);
     x * x * (3.0 - 2.0 * x)

@@ -60,7 +60,7 @@ pub struct Reconstructed {
     pub iso: Isovalue,
 }
 
-/// The field of a frame, which must have been made by an indicator.
+/// The field of a frame, which must have been computed by an indicator.
 pub fn dif(frame: &Engine) -> &SampledDif {
     frame.dif().expect("an indicator makes the field")
 }

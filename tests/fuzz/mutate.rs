@@ -69,7 +69,7 @@ fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) 
     data[at..].iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);
 }
 
-/// Replaces the next number, from `at` on, that is written in decimal digits.
+/// Replaces the next run of decimal digits, from `at` on, with a number.
 fn change_digits(data: &mut Vec<u8>, at: usize, number: u64) {
     let Some(first) = data[at..].iter().position(u8::is_ascii_digit).map(|first| at + first) else {
         return;

@@ -70,8 +70,8 @@ fn multiblock(elements: &str) -> String {
 struct Listed(TempDir);
 
 impl Listed {
-    /// Writes a list of one frame, and a list of the same blocks. Each data set is an element's
-    /// attributes, and the content of its file.
+    /// Writes a .pvd list with one frame, and a .vtm list with the same blocks. Each of `sets`
+    /// consists of the attributes of a data set's element, and the content of its file.
     fn new(sets: &[(&str, &str)]) -> Self {
         let listed = Self(TempDir::new().unwrap());
         let mut elements = String::new();
@@ -347,7 +347,7 @@ fn a_data_set_without_points_is_reported_if_it_has_a_name() {
     assert_eq!(along(&file), [7.0]);
     assert_eq!(attribute(&file, "Part type"), [0.0]);
     assert_eq!(file.left_out, [block("foam", "no points")]);
-    // Particles that a condition removes are no missing points.
+    // A data set does not count as one without points if a condition removes all of its particles.
     let listed = Listed::new(&[
         ("name='foam' file='foam.csv'", &table(&[[1, 2]])),
         ("name='fluid' file='fluid.csv'", &table(&[[7, 0]])),

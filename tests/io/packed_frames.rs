@@ -427,7 +427,7 @@ fn packed_sizes_in_large_cells_and_far_away_are_read() {
     let path = folder.0.path().join("far.mnf");
     let sizes: Vec<f32> = [vec![1.0; 30], vec![40.0; 30]].concat();
     let positions: Vec<[f64; 3]> = (0..60).map(|i| [f64::from(i) * 9.0, 0.0, 0.0]).collect();
-    // In cells of 20 sizes, the nominal plateau exceeds the range of samples.
+    // In cells of 20 particle sizes, the nominal plateau exceeds the range of samples.
     for cell in [0.5, 20.0] {
         let cloud = Cloud::new(&positions).with("size", &sizes);
         let request = Reconstruction::new().size("size").cell(cell);

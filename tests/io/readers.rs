@@ -1575,7 +1575,7 @@ fn conditions_on_64_bit_integers_and_the_listed_values_are_exact() {
         assert_eq!(count(">", value(at)), more, "{at}");
         assert_eq!(count(">=", value(at)), equal + more, "{at}");
     }
-    // Other spellings of numbers.
+    // Test other notations of numbers.
     assert_eq!(count(">", format!("{least}.0")), 6);
     assert_eq!(count(">", "9.007199254740992e15".to_owned()), 6);
     assert_eq!(count(">", "0.5".to_owned()), 8);

@@ -159,7 +159,7 @@ fn a_usd_stage_plays_every_frame_of_times_with_six_digits() {
             assert!(stage.contains(line), "{line} is not in {stage}");
         }
     }
-    // Frames between whole time codes are within the range of the stage, too.
+    // The range of the stage also includes frames between whole time codes.
     let stage = stage_of(Some(24.0), &[0.020_833, 0.500_047, 0.900_049]);
     for line in ["startTimeCode = 0\n", "endTimeCode = 22\n", "(12, 1), (21.6"] {
         assert!(stage.contains(line), "{line} is not in {stage}");

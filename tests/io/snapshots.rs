@@ -74,7 +74,8 @@ fn frames_of_every_simulation_code_give_the_same_particles() {
             expected.remove(5);
             expected.remove(1);
         }
-        // Other files are not exact: some contain f32, and openPMD positions are computed.
+        // The positions in other files are rounded: some files contain f32, and openPMD positions
+        // are computed from values, units and offsets.
         let exact = ["swift_0003.hdf5", "pysph_40.hdf5", "grid.vtkhdf"].contains(&name);
         let tolerance = if exact { 0.0 } else { 1e-6 };
         let shift = if name == "steps.vtkhdf#2" { 20.0 } else { 0.0 };

@@ -672,7 +672,7 @@ fn the_points_of_paraview_are_preferred_to_columns_x_y_and_z() {
     let file = file.unwrap();
     assert_eq!((positions(&file), attributes(&file)), (POSITIONS.to_vec(), vec![("xyz", 3)]));
     assert_eq!(attribute(&file, "xyz"), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]);
-    // A stem that may be a pressure is not preferred.
+    // Columns with a common stem that may mean a pressure are not preferred to columns x, y and z.
     let file = text("p_xx,p_xy,p_xz,x,y,z\n1,2,3,1.5,2.5,3.5\n4,5,6,4.5,5.5,6.5\n").unwrap();
     assert_eq!((positions(&file), attributes(&file)), (POSITIONS.to_vec(), vec![("p_x", 3)]));
 }

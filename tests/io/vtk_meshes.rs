@@ -32,8 +32,8 @@ fn written(folder: &TempDir, name: &str, content: impl AsRef<[u8]>) -> PathBuf {
     path
 }
 
-/// A .vtu in text. Its two pieces have the points from 0 to 2 on each axis and 3 to 4, and cells of
-/// these types.
+/// A .vtu file in text with two pieces. The first has the points (i, i, i) for i from 0 to 2, and
+/// the second for i from 3 to 4. `types` contains the cell types of each piece.
 fn grid(types: [&str; 2]) -> String {
     let piece = |points: &[usize], types: &str| {
         let numbers = |all: &mut dyn Iterator<Item = usize>| {
@@ -63,7 +63,8 @@ fn a_vtu_cell_with_an_area_or_volume_makes_a_mesh_in_every_encoding() {
                 </PUnstructuredGrid></VTKFile>";
     let list = written(&folder, "a.pvtu", list);
     for layout in VtkXml::all() {
-        // An empty cell, a vertex, several vertices, a line and several lines stay particles.
+        // An empty cell, a vertex, several vertices, a line and several lines do not make the file
+        // a mesh.
         let path = written(&folder, "a.vtu", layout.build_cells(&points, &[0., 1., 2., 3., 4.]));
         for path in [&path, &list] {
             assert_eq!(positions(&open(path).unwrap()), points, "{layout:?}");
@@ -118,7 +119,8 @@ fn blocks_of_cell_types_after_the_first_face_are_not_decompressed() {
         |l: &VtkXml| l.placed == Placed::AppendedRaw && l.compressor == Compressor::Zlib;
     for layout in VtkXml::all().into_iter().filter(is_packed) {
         for (first, is_mesh) in [(5.0, Some(true)), (1.0, None)] {
-            // The types are the last array, in three blocks. The checksum of the last is damaged.
+            // The cell types are the last array, in three blocks. Below, the checksum of the last
+            // block is damaged.
             let types: Vec<f64> = (0..20).map(|cell| if cell == 0 { first } else { 1.0 }).collect();
             let mut bytes = layout.build_cells(&points, &types);
             let end = bytes.len() - "\n</AppendedData></VTKFile>\n".len();

@@ -1,5 +1,5 @@
 //! Tests of inputs that change while they are read: the frame fails with an error that names the
-//! file. The process gets no signal, and makes no wrong mesh.
+//! file. No signal ends the process, and no wrong mesh is returned.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;

@@ -133,7 +133,8 @@ fn assert_same_places(
     };
     let alone = [alone(&found, &expected), alone(&expected, &found)];
     assert_eq!(alone, [vec![], vec![]], "{what}: vertices without a near counterpart");
-    // In a mirror, a cell almost on the surface can change sides, and with it the vertices around.
+    // In a mirrored mesh, a cell that is almost on the surface can change sides, which also changes
+    // the vertices around the cell.
     let most = if within > NEAR { expected.len() / 100 } else { 0 };
     let apart = found.len().abs_diff(expected.len());
     assert!(apart <= most, "{what}: {} and {} vertices", found.len(), expected.len());

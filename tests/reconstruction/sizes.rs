@@ -671,7 +671,8 @@ fn cells_follow_the_sizes_and_meet_without_gaps() {
             assert_eq!(watertight::defect(&mesh), None, "ratio {ratio}, cells of {cell}");
             let found = measure(&mesh);
             assert_eq!(found.components, 2);
-            // The finest cells would need more than this number of triangles for two sides.
+            // A mesh of both sides of the lake in the finest cells would have more triangles than
+            // this.
             let finest = 4.0 * (75.0 * ratio / cell).powi(2);
             assert!((mesh.triangles.len() as f64) < 0.6 * finest, "{}", mesh.triangles.len());
             // Normals must point to the outer side of the triangles, even at seams.

@@ -526,13 +526,13 @@ fn finished_meshes_stay_listed_when_their_inputs_are_removed() {
         let notes = resumed(&["--resume"]);
         assert_eq!(listed_frames(&list), [1, 2, 3, 4, 5, 6], "{notes}");
         assert!(notes.contains("3 existing meshes without an input"), "{notes}");
-        // The mesh of frame 2 is gone, too.
+        // Also remove the mesh of frame 2, whose input is already missing.
         if output == "out/m_{}.ply" {
             fs::remove_file(folder.path().join("out/m_2.ply")).unwrap();
             let notes = resumed(&["--resume"]);
             assert_eq!(listed_frames(&list), [1, 3, 4, 5, 6], "{notes}");
         }
-        // Another surface, and no input of the old one.
+        // Make another surface. Frames without an input must no longer be listed.
         resumed(&["--overwrite", "--smooth", "1.3", "--end", "5"]);
         assert_eq!(listed_frames(&list), [3, 5]);
     }
@@ -553,7 +553,7 @@ fn resuming_replaces_no_mesh_of_inputs_in_another_folder() {
         assert!(errors.contains("other differs") && errors.contains("--overwrite"), "{errors}");
         assert!(tree(&place("out")) == whole, "{more:?}");
     }
-    // The same inputs may move.
+    // Moving the folder of the inputs does not count as a change.
     fs::rename(place("in"), place("moved")).unwrap();
     let errors = run(folder.path(), &["moved/f_{}.xyz", "-o", "out/m_{}.ply", "--resume"], 0);
     assert!(errors.contains("4 of 4 frames are already finished"), "{errors}");
@@ -925,7 +925,8 @@ fn an_empty_frame_of_a_vdb_sequence_has_the_voxels_of_the_other_frames() {
     assert!(whole.active_voxels > Some(1000) && empty.active_voxels == Some(0));
     assert_eq!(whole.voxel_size, Some([0.4; 3]));
     assert_eq!(empty.voxel_size, whole.voxel_size);
-    // The bounds of no voxels are those of index 0, which lies on the lattice of the other frame.
+    // A grid without voxels has the bounds of index 0, which lies on the lattice of the other
+    // frame.
     let [from, to] = [&empty, &whole].map(|grid| grid.bounds.unwrap()[0]);
     for axis in 0..3 {
         let index = whole.index_bounds.unwrap()[0][axis];
@@ -1468,7 +1469,7 @@ fn resuming_keeps_the_frame_rate_and_refuses_another() {
         assert_eq!(kept, !depends, "{output}: {messages}");
         assert!(tree(&out) == faster, "{output}: with a new rate");
     }
-    // A rate is a change, too, if there was none.
+    // A rate also counts as a changed setting if no rate was given before.
     run(folder.path(), &ALL, 0);
     let errors = run(folder.path(), &with(&["--resume", "--fps", "25"]), 2);
     assert!(errors.contains("fps"), "{errors}");
@@ -1611,7 +1612,7 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
     }
     // In a folder, most frames must be complete.
     run(folder.path(), &["ranks", "-o", "none/"], 2);
-    // Inputs without a common frame number are no joined simulation.
+    // Inputs without a common frame number do not form a joined simulation.
     fs::rename(folder.path().join("fluids/oil_1.xyz"), folder.path().join("fluids/oil_7.xyz"))
         .unwrap();
     run(folder.path(), &["fluids", "--together", "-o", "none/"], 2);
@@ -1885,7 +1886,8 @@ fn an_attribute_has_the_same_type_in_all_frames() {
         let temp = &mesh.attributes[0];
         (temp.kind, temp.kind.number(temp.values[0]))
     };
-    // Zeros are integers in one frame, the first or another.
+    // In one frame, either the first or the second, the values are zeros that are stored as
+    // integers.
     for odd in [1, 2] {
         for frame in 1..=3 {
             write(frame, "double", "0.5");

@@ -1,4 +1,4 @@
-// Makes the surface of a particle file with OpenVDB: with points::rasterizeSmoothSpheres (the
+// Computes the surface of a particle file with OpenVDB: with points::rasterizeSmoothSpheres (the
 // method of Zhu and Bridson), or with points::pca and points::rasterizeSdf on ellipsoids (the
 // method of Yu and Turk, since OpenVDB 12.1).
 //
@@ -14,8 +14,8 @@
 // - ellipsoids: OpenVDB's defaults, with half a spacing as the radius. The search radius is 2.5
 //   spacings, so that particles at the surface also have the 20 neighbours that the default
 //   threshold requires.
-// - tuned: three neighbours suffice for an ellipsoid, so that a level pool is level and sheets do
-//   not tear.
+// - tuned: like ellipsoids, but three neighbours suffice for an ellipsoid, so that the surface of a
+//   level pool is level and sheets do not tear.
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointConversion.h>
 #include <openvdb/points/PointRasterizeSDF.h>

@@ -37,7 +37,7 @@ const HEAD: [&str; 9] = [
     "mean, cells",
 ];
 
-/// Distances between a surface and the true one, in spacings.
+/// The errors of a surface, compared with the true one. Distances are in spacings.
 #[derive(Debug, Clone, Copy)]
 pub struct Errors {
     pub hausdorff: f64,

@@ -11,8 +11,8 @@ use meniscus::picture::{Colour, Image, Picture, Scope, View};
 use crate::Outcome;
 
 const TOWARDS: DVec3 = DVec3::new(0.55, 0.5, 1.0);
-/// The distance, in radii, at which a ball fills the height of a picture. Half of the vertical
-/// field of view is 14 degrees.
+/// The distance between the camera and the centre of a ball, in radii of the ball, at which the
+/// ball fills the height of a picture. Half of the vertical field of view is 14 degrees.
 const DISTANCE: f64 = 4.011;
 /// The default colour. It is opaque, so that pictures show only the front of the surface.
 const WATER: Colour = Colour::Solid([92, 158, 214]);

@@ -15,7 +15,7 @@ use meniscus::internals::system::timings::Timings;
 
 use crate::Outcome;
 
-/// A method for making a surface from particles.
+/// A method for computing a surface from particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
     /// A discrete indicator function, smoothed and contoured.
@@ -132,7 +132,7 @@ impl Method {
         self.name().to_lowercase().replace(", ", "-").replace(' ', "-")
     }
 
-    /// Makes the surface of particles with this method.
+    /// Computes the surface of particles with this method.
     pub fn surface<P: Particles + ?Sized>(
         &self,
         particles: &P,

@@ -137,7 +137,8 @@ fn frames(jitter: f64, count: usize) -> Vec<Vec<[f64; 3]>> {
     })
 }
 
-/// The surfaces of all frames. With a `folder` for the meshes of the ball, the ball is a solid.
+/// Reconstructs the surfaces of all frames. If `folder` is given, the ball is a solid, and its
+/// meshes are written into the folder.
 fn surfaces(frames: &[Vec<[f64; 3]>], cell: f64, folder: Option<&Path>) -> Outcome<Vec<Mesh>> {
     let surface = |(frame, particles): (usize, &Vec<[f64; 3]>)| -> Outcome<Mesh> {
         let mut request = Reconstruction::new().spacing(1.0).cell(cell).threads(1);

@@ -63,8 +63,8 @@ with h5py.File(f"{folder}/groups.h5", "w", libver="latest") as file:
         frame.attrs["time"] = number / 4
         frame["ParticleTypes/sand/position"] = points + number
         frame["ParticleTypes/wall/position"] = np.zeros((4, 3), "f4")
-# Two groups whose attribute has the name "type", which also selects a group, and arrays with up to
-# 100 numbers per row.
+# Two groups with an attribute called "type", although this name also selects a group, and with
+# arrays of up to 100 numbers per row.
 with h5py.File(f"{folder}/types.h5", "w", libver="latest") as file:
     for name in ("PartType0", "wall"):
         group = file.create_group(name)

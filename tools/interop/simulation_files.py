@@ -22,7 +22,7 @@ def points(count):
 
 
 def vtk_set(kind, values, ghosts=(), ids=None, ghost_cells=None):
-    """Makes PolyData or an UnstructuredGrid of points.
+    """Builds PolyData or an UnstructuredGrid of points.
 
     The points numbered `ghosts`, or the vertices numbered `ghost_cells`, are flagged as ghosts.
     """

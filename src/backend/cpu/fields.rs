@@ -31,17 +31,18 @@ fn minimum(samples: &[u16]) -> u16 {
     samples.iter().fold(u16::MAX, |minimum, &sample| minimum.min(sample))
 }
 
-/// Makes the final field of a frame on `cells`.
+/// Computes the final field of a frame on `cells`.
 #[must_use]
 pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
     let field = recipe.apply(&mut Blocks::new(recipe, sampled, cells, FieldUse::Everywhere)).ok();
     field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
 }
 
-/// Makes the final field on each of `boxes`, which are near each other, one after another; `None`
-/// for a box if it is known, before its field is complete, that no surface can pass through the
-/// box. The flag of each box says whether the box is away from walls. The boxes share intermediate
-/// results if these fit into `most_bytes`. A solid near any of the boxes cuts the field.
+/// Computes the final field on each of `boxes` in turn. The boxes are near each other. The result
+/// for a box is `None` if it turns out, before the field is complete, that no surface can pass
+/// through the box. The flag of each box says whether the box is away from walls. The boxes share
+/// intermediate results if these fit into `most_bytes`. A solid near any of the boxes cuts the
+/// field.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,
@@ -89,13 +90,14 @@ pub(super) fn cut_fields<'a>(
     Box::new(boxes.map(field))
 }
 
-/// The filters that continue clouds into solids, in cells 2^`level` times as wide.
+/// The filters that continue clouds into solids, on cells 2^`level` times as wide.
 fn fill(sampled: &SampledDif, level: u32) -> SolidFill {
     SolidFill::new(f64::from(1_u32 << level) / sampled.facts.spacing_cells_or_one())
 }
 
-/// For `cells`, which are 2^`level` times as wide, and for all cells within `reach` of them, the
-/// share of each cell's cloud that is outside `solid`; `None` if the solid is not near.
+/// The share of each cell's cloud that is outside `solid`, for `cells` and for all cells within
+/// `reach` of them; `None` if the solid is not near. `cells` are 2^`level` times as wide as the
+/// grid's cells.
 fn outside_of(
     solid: &Solid,
     sampled: &SampledDif,
@@ -116,8 +118,8 @@ fn outside_of(
     Some(shares)
 }
 
-/// The distance, in cells, from a solid, including its offset, within which the field is cut:
-/// normals use two cells beyond a vertex's cell.
+/// How far beyond a solid's offset the field is cut, in cells: normals use two cells beyond a
+/// vertex's cell.
 pub(super) const CUT: i32 = 3;
 
 /// Cuts `field` by a solid.
@@ -134,7 +136,7 @@ pub(super) fn cut_by(solid: &Solid, sampled: &SampledDif, field: &mut Block) {
     cut(field, &distances, offset.round() as i32, most);
 }
 
-/// The number of wide cells from which the field on `cells` is made.
+/// The number of wide cells from which the field on `cells` is computed.
 pub(super) fn wide_volume(distances: &DistanceFilters, cells: CellBox) -> usize {
     let halo = distances.wide_halo();
     distances.wide_cells(cells).grown(halo, halo).volume()
@@ -172,14 +174,14 @@ impl FieldUse {
         any_inside && (!away_from_walls || pieces.any(|piece| minimum(piece) <= threshold))
     }
 
-    /// Whether any filters can make a surface from `block`: if all samples are 0, there is no
+    /// Whether filters can produce a surface from `block`: if all samples are 0, there is no
     /// surface.
     fn may_show_any(self, block: &Block) -> bool {
         matches!(self, Self::Everywhere)
             || block.samples().chunks(PIECE).any(|piece| greatest_of(piece) > 0)
     }
 
-    /// Whether a surface can pass through `cells`, according to the distances in wide cells. If
+    /// Whether a surface can pass through `cells`, according to the distances on wide cells. If
     /// `drops` is true, drops can add to the inside.
     fn may_show(self, bulk: &Block, cells: CellBox, drops: bool) -> bool {
         let Self::NearSurface { away_from_walls, iso } = self else { return true };
@@ -195,7 +197,7 @@ impl FieldUse {
 /// Gathers a density in cells 2^level times as wide.
 pub(super) type Density<'a> = &'a dyn Fn(u32, CellBox) -> Block;
 
-/// Makes the fields of a recipe in blocks of cells.
+/// Computes the fields of a recipe on blocks of cells.
 pub(super) struct Blocks<'a> {
     sampled: &'a SampledDif,
     /// The density of all particles, if `sampled` has only some of the particles.
@@ -546,7 +548,8 @@ impl Fields for Blocks<'_> {
         };
         let step = by.numbers.step;
         let mut seen = cells.grown(step, step);
-        // There are no sheets where the density is low, so they are made only around denser cells.
+        // There are no sheets where the density is low, so they are computed only around denser
+        // cells.
         if self.mirror(level).is_none_or(|mirror| mirror.cells().covers(&seen)) {
             let least = by.least_density();
             let dense = wide.block.box_of(|sample| sample >= least);

@@ -25,7 +25,8 @@ use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, W
 use fields::cut_fields;
 use spray::SprayMaker;
 
-/// All threads together use at most 1 / `SHARE` of the budget to mesh neighbouring blocks together.
+/// All threads in total use at most 1 / `SHARE` of the budget for meshing neighbouring blocks
+/// together.
 const SHARE: u64 = 8;
 
 /// Edge, in blocks, of the cubes of blocks that are meshed together: for spray, and for other
@@ -118,7 +119,7 @@ impl Stages for CpuStages {
 /// Regions that are meshed together.
 struct RegionGroup<'a> {
     regions: &'a [CellBox],
-    /// Makes the fields of these regions if they are spray.
+    /// Computes the fields of these regions if they are spray.
     spray: Option<SprayMaker<'a>>,
 }
 
@@ -157,7 +158,7 @@ impl CpuStages {
     }
 }
 
-/// Makes the surfaces of `regions`, which are spray.
+/// Computes the surfaces of `regions`, which are spray.
 fn meshes_of_spray(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
@@ -182,7 +183,7 @@ fn meshes_of_spray(
     regions.iter().map(mesh).collect()
 }
 
-/// Makes the surfaces of `regions`. The regions share intermediate results if these fit into
+/// Computes the surfaces of `regions`. The regions share intermediate results if these fit into
 /// `together` bytes.
 fn meshes(
     surfaces: &Surfaces<'_>,

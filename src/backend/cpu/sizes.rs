@@ -45,7 +45,7 @@ pub enum BoxSide {
     Outside,
 }
 
-/// The surfaces of an octave in its wide cells. Distances are in the octave's spacings.
+/// The surfaces of an octave on its wide cells. Distances are in the octave's spacings.
 struct OctaveSurface {
     /// The calm surface, from which drops stand out.
     calm: Block,
@@ -124,17 +124,17 @@ impl<'a> SizedField<'a> {
         let coarser = finest.clone().refining(sheets, spacing_cells);
         let of = |distances: &DistanceFilters| {
             let DistanceFilters { level, near, drops_level, .. } = *distances;
-            // Surfaces are made wherever drops can be near. The surfaces and the density of coarser
-            // octaves are interpolated from wide cells. The filters of sizes and of distances start
-            // from these wide cells.
+            // Surfaces are computed wherever drops can be near. The surfaces and the density of
+            // coarser octaves are interpolated from wide cells. The filters of sizes and of
+            // distances start from these wide cells.
             let wide = 2 + 2 * near + distances.widest_halo().max(averaging);
             halo_in_cells(level, wide).max(halo_in_cells(drops_level, 2 + distances.drops_halo()))
         };
         of(&finest).max(of(&coarser)) + GHOST_LAYER
     }
 
-    /// The maximum memory, in bytes, that a thread needs to make the field of neighbouring blocks
-    /// in a frame with `octaves` octaves.
+    /// The maximum memory, in bytes, that a thread needs to compute the field of neighbouring
+    /// blocks in a frame with `octaves` octaves.
     #[must_use]
     pub fn block_bytes(
         smooth: Smooth,
@@ -155,8 +155,8 @@ impl<'a> SizedField<'a> {
             + (0..octaves).map(kept).sum::<u64>()
     }
 
-    /// The maximum distance, in wide cells, of a drop from a particle of its octave. The largest
-    /// drops of an octave are twice as large as the smallest.
+    /// The maximum distance, in wide cells, from a drop to the nearest particle of its octave. The
+    /// largest drops of an octave are twice as large as the smallest.
     fn near(&self) -> i32 {
         2 * self.distances(0).near
     }
@@ -171,7 +171,7 @@ impl<'a> SizedField<'a> {
     }
 
     /// The wide cells of an octave from which the field on `finest`, a box of the finest cells, is
-    /// made. They include the surrounding wide cells whose drops are near.
+    /// computed. They include the surrounding wide cells whose drops are near.
     fn wide(&self, octave: usize, finest: CellBox) -> CellBox {
         let level = octave as u32 + self.distances(octave).level;
         wide_cells(level, finest).grown(self.near(), self.near())
@@ -182,10 +182,10 @@ impl<'a> SizedField<'a> {
         self.clouds.octave(0).facts.mirror(level)
     }
 
-    /// Makes the final field on each of `boxes`, one after another; `None` for a box through which
-    /// no surface can pass. The boxes consist of the finest cells and are near each other. The flag
-    /// of each box says whether the box is away from walls. The boxes share the surfaces of octaves
-    /// if this saves work; sharing does not affect the samples.
+    /// Computes the final field on each of `boxes` in turn; `None` for a box through which no
+    /// surface can pass. The boxes consist of the finest cells and are near each other. The flag of
+    /// each box says whether the box is away from walls. The boxes share the surfaces of octaves if
+    /// this saves work; sharing does not affect the samples.
     pub fn on_each(&self, boxes: Vec<(CellBox, bool)>) -> impl Iterator<Item = Option<Block>> {
         let none = || self.no_surfaces();
         let all = boxes.iter().fold(CellBox::EMPTY, |all, (cells, _)| all.union(cells));
@@ -201,8 +201,8 @@ impl<'a> SizedField<'a> {
         })
     }
 
-    /// Makes the final field on `cells`, a box of the finest cells, as [`on_each`](Self::on_each)
-    /// does.
+    /// Computes the final field on `cells`, a box of the finest cells, as
+    /// [`on_each`](Self::on_each) does.
     ///
     /// # Errors
     /// [`BoxSide`] if no surface can pass through the box.
@@ -216,7 +216,7 @@ impl<'a> SizedField<'a> {
     }
 
     /// The total number of wide cells, over all octaves, from which the surfaces on `cells` are
-    /// made. `cells` is a box of the finest cells.
+    /// computed. `cells` is a box of the finest cells.
     fn volume(&self, cells: CellBox) -> usize {
         let around = |octave| {
             let halo = self.distances(octave).wide_halo();
@@ -225,8 +225,8 @@ impl<'a> SizedField<'a> {
         (0..self.clouds.octaves()).map(|octave| around(octave).volume()).sum()
     }
 
-    /// Makes the final field on `cells`, with octave surfaces on the box `around`, which contains
-    /// `cells`.
+    /// Computes the final field on `cells`, with octave surfaces on the box `around`, which
+    /// contains `cells`.
     fn on(
         &self,
         (cells, around): (CellBox, CellBox),
@@ -238,7 +238,7 @@ impl<'a> SizedField<'a> {
         let away_from_walls = away_from_walls && !is_at_solid();
         self.make(surfaces, 0, around);
         let bulk = self.bulk(surfaces, cells);
-        // Drops only add to the inside of the fluid, so if all cells are inside, no drop makes a
+        // Drops only add to the inside of the fluid, so if all cells are inside, no drop has a
         // surface.
         let threshold = self.iso().threshold();
         if away_from_walls && bulk.samples().iter().all(|&sample| sample > threshold) {
@@ -253,7 +253,7 @@ impl<'a> SizedField<'a> {
         Ok(self.joined(&bulk, drops, cells))
     }
 
-    /// Makes the final field on `cells`, a box of the finest cells, even if no surface passes
+    /// Computes the final field on `cells`, a box of the finest cells, even if no surface passes
     /// through the box. If the box lies beyond a wall, the field also covers the nearest cells
     /// within the wall.
     #[must_use]
@@ -267,13 +267,13 @@ impl<'a> SizedField<'a> {
     }
 
     /// The bulk's surface for `cells`, a box of the finest cells. The first of `surfaces` must
-    /// already be made.
+    /// already be computed.
     fn bulk(&self, surfaces: &[Option<OctaveSurface>], cells: CellBox) -> Block {
         let first = surfaces[0].as_ref().expect("it was made");
         first.bulk.part(self.wide(0, cells))
     }
 
-    /// Makes the drops of all octaves, from the coarsest to the finest.
+    /// Computes the drops of all octaves, from the coarsest to the finest.
     fn all_drops(
         &self,
         surfaces: &mut [Option<OctaveSurface>],
@@ -305,8 +305,8 @@ impl<'a> SizedField<'a> {
         solid.is_near(&facts.grid, facts.periodic.as_ref(), 0, around)
     }
 
-    /// Makes the surface of an octave, mixed with the surfaces of coarser octaves, if it is not
-    /// made yet.
+    /// Computes the surface of an octave, mixed with the surfaces of coarser octaves, unless it is
+    /// already computed.
     fn make(&self, surfaces: &mut [Option<OctaveSurface>], octave: usize, cells: CellBox) {
         if surfaces[octave].is_some() {
             return;
@@ -369,11 +369,11 @@ impl<'a> SizedField<'a> {
         blur(density, &self.averaging, mirror)
     }
 
-    /// Makes the surface with the filters of an octave, in the octave's wide cells.
+    /// Computes the surface with the filters of an octave, on the octave's wide cells.
     fn own_surface(&self, octave: usize, cells: CellBox) -> OctaveSurface {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let density = |level: u32, cells: CellBox| self.clouds.density(octave, level, cells);
-        // The field on the cells `own` is made from exactly the wide cells `wide`.
+        // The field on the cells `own` is computed from exactly the wide cells `wide`.
         let wide = self.wide(octave, cells);
         let further = i32::from(distances.level > 0);
         let own = CellBox {
@@ -397,8 +397,8 @@ impl<'a> SizedField<'a> {
         }
     }
 
-    /// Makes the drops of an octave near `cells`, a box of the finest cells; `None` if no particle
-    /// stands out.
+    /// Computes the drops of an octave near `cells`, a box of the finest cells; `None` if no
+    /// particle stands out.
     fn drops(
         &self,
         octave: usize,

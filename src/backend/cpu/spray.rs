@@ -1,4 +1,4 @@
-//! The field of spray, made drop by drop and only around the surface of each drop.
+//! The field of spray, computed drop by drop and only around the surface of each drop.
 
 use std::rc::Rc;
 
@@ -20,8 +20,8 @@ const FEW: usize = 16;
 /// a drop.
 const CHEAPER: usize = 10;
 
-/// The distance, in cells, from the inside of a drop within which the drop's field is needed: a
-/// vertex lies between an inside cell and its neighbour, and normals use one cell more.
+/// How far around the inside of a drop the drop's field is needed, in cells: a vertex lies between
+/// an inside cell and its neighbour, and normals use one cell more.
 const AROUND: i32 = 2;
 
 /// The field around the surface of a group of particles, which may be several drops.
@@ -32,7 +32,7 @@ pub(super) struct DropField {
     field: Block,
 }
 
-/// Makes the field of spray, group of particles by group of particles.
+/// Computes the field of spray, group of particles by group of particles.
 pub(super) struct SprayMaker<'a> {
     recipe: &'a Recipe,
     distances: &'a DistanceFilters,
@@ -78,9 +78,9 @@ struct NearGroup<'a> {
 }
 
 impl<'a> SprayMaker<'a> {
-    /// Prepares the field on `cells`; `None` if the fluid is not spray, if making the whole field
-    /// is cheaper than making it group by group, or if the fields of the groups need more than
-    /// `most_bytes`.
+    /// Prepares the field on `cells`; `None` if the fluid is not spray, if computing the whole
+    /// field is cheaper than computing it group by group, or if the fields of the groups need more
+    /// than `most_bytes`.
     pub(super) fn new(
         recipe: &'a Recipe,
         sampled: &'a SampledDif,
@@ -107,14 +107,14 @@ impl<'a> SprayMaker<'a> {
         (pays && fits).then_some(Self { recipe, distances, sampled, cells, groups })
     }
 
-    /// Makes the fields of all groups that have a surface.
+    /// Computes the fields of all groups that have a surface.
     pub(super) fn drops(&self) -> Vec<DropField> {
         let least = self.distances.drops.least_share();
         self.groups.iter().filter_map(|&full| self.drops_of(full, least)).collect()
     }
 
-    /// Makes the field of the group whose full cells lie in the box `full`; `None` if the group has
-    /// no surface. A cell is in a drop if its share is at least `least`.
+    /// Computes the field of the group whose full cells lie in the box `full`; `None` if the group
+    /// has no surface. A cell is in a drop if its share is at least `least`.
     fn drops_of(&self, full: CellBox, least: u16) -> Option<DropField> {
         let Self { recipe, distances, sampled, .. } = *self;
         let DistanceFilters { level, stands_out, drops_level, ref drops, .. } = *distances;
@@ -158,7 +158,7 @@ impl<'a> SprayMaker<'a> {
         blocks.wanted = part.intersection(&standing_out);
         if !blocks.wanted.is_empty() {
             let needed = wide_cells(drops_level, blocks.wanted);
-            // Without sheets, shares were made only around the group's own drops, which is too
+            // Without sheets, shares were computed only around the group's own drops, which is too
             // little if the bulk has a surface farther away.
             let made = thin.filter(|thin| thin.shares.block.cells().covers(&needed));
             let thin = made.map_or_else(|| with_drops(distances, &mut blocks, None), Ok);
@@ -195,7 +195,7 @@ impl<'a> SprayMaker<'a> {
         Some(full.grown(reach, reach))
     }
 
-    /// Makes the wide fields around `cells`; `None` if no particle is near.
+    /// Computes the wide fields around `cells`; `None` if no particle is near.
     fn near_group(&self, cells: CellBox) -> Option<NearGroup<'a>> {
         let Self { recipe, distances, sampled, .. } = *self;
         let DistanceFilters { level, near, least, .. } = *distances;

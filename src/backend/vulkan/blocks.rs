@@ -39,7 +39,7 @@ impl DeviceFrame {
         })
     }
 
-    /// Makes the surfaces of `regions` and keeps them on the device.
+    /// Computes the surfaces of `regions` and keeps them on the device.
     pub(super) fn collect_batches(
         &self,
         state: &mut DeviceState,
@@ -192,7 +192,7 @@ impl Contouring<'_> {
         Ok(Some(batch))
     }
 
-    /// Continues a batch with wide cells: once these are made, chooses the regions to mesh, and
+    /// Continues a batch with wide cells: once these are computed, chooses the regions to mesh, and
     /// meshes them.
     fn go_on(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<(), VulkanError> {
         if batch.wide.is_none() {
@@ -202,7 +202,7 @@ impl Contouring<'_> {
         self.mesh_regions(lane, batch)
     }
 
-    /// Records and submits the commands that make the surfaces of the regions to mesh.
+    /// Records and submits the commands that compute the surfaces of the regions to mesh.
     pub(super) fn mesh_regions(
         &self,
         lane: &mut Lane,
@@ -235,7 +235,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// Makes the field on the regions to mesh, with the paper's filters.
+    /// Computes the field on the regions to mesh, with the paper's filters.
     fn filter(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let [source] = &self.sources()[..] else {

@@ -1,4 +1,4 @@
-//! The batches of regions whose surfaces are made: their memory, and their inputs.
+//! Batches of regions whose surfaces are computed: their memory, and their inputs.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -32,24 +32,25 @@ const BLOCK_ROOM: u64 = 6144;
 /// Maximum number of vertices in a block.
 const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 
-/// Number of fields in wide cells that exist at once: clouds, two surfaces and their difference,
+/// Number of fields on wide cells that exist at once: clouds, two surfaces and their difference,
 /// another field, and its temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
-/// Number of fields in wide cells that sheets need: the clouds, their smoothed density, and a
+/// Number of fields on wide cells that sheets need: the clouds, their smoothed density, and a
 /// temporary.
 pub(super) const SHEETS_FIELDS: usize = 3;
 /// Number of fields for drops: the shares of sheets and their certainty, clouds, the clouds around
 /// them, and a temporary.
 pub(super) const DROPS_FIELDS: usize = 5;
-/// Number of fields in the parts of blocks where particles stand out from the surface: the distance
-/// by which particles lie outside the surface, the shares of drops, and the certainty of sheets.
+/// Number of fields on the parts of blocks in which particles stand out from the surface: the
+/// distance by which particles lie outside the surface, the shares of drops, and the certainty of
+/// sheets.
 pub(super) const PART_FIELDS: usize = 3;
 /// The regions of a batch in a lane.
 pub(super) struct BlockBatch {
     pub(super) regions: Vec<CellBox>,
     /// The number of vertices for which there is memory.
     pub(super) room: u64,
-    /// The bulk of the batch in wide cells, if the field is made from distances.
+    /// The bulk of the batch on wide cells, if the field is computed from distances.
     pub(super) wide: Option<WideBulk>,
     /// Indices of the regions to mesh: all regions that can have a surface.
     pub(super) meshed: Vec<usize>,
@@ -118,13 +119,13 @@ pub(super) struct BatchField {
     pub(super) uploaded: Ticket,
 }
 
-/// The cells of one width in which a batch has fields.
+/// Cells of one width on which a batch has fields.
 pub(super) struct FieldLevel {
     /// The cells are 2^`level` times as wide as the grid's cells.
     pub(super) level: u32,
     /// The halo around the requested cells, in cells of this level.
     halo: i32,
-    /// Whether samples are needed in these cells.
+    /// Whether samples are needed on these cells.
     sampled: bool,
     /// The number of fields that exist at once, including the samples.
     pub(super) fields: u64,
@@ -137,7 +138,7 @@ impl FieldLevel {
     }
 }
 
-/// The bulk of a batch in wide cells.
+/// The bulk of a batch on wide cells.
 pub(super) struct WideBulk {
     pub(super) blocks: DeviceBlocks,
     /// For each region, the number of its block.
@@ -177,7 +178,7 @@ impl<'a> Contouring<'a> {
         })
     }
 
-    /// All cell widths in which a region has fields.
+    /// All widths of cells on which a region has fields.
     pub(super) fn sources(&self) -> Vec<FieldLevel> {
         match &self.surfaces.recipe.filters {
             Filters::Paper(paper) => {

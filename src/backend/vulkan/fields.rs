@@ -27,7 +27,7 @@ pub(super) struct PaddedSamples {
     pub(super) of: usize,
 }
 
-/// The blocks of a batch in cells of one width, and buffers for their fields.
+/// Those blocks of a batch whose cells have the same width, and buffers for their fields.
 pub(super) struct PaddedBlocks {
     pub(super) blocks: DeviceBlocks,
     /// The cells are 2^`level` times as wide as the grid's cells.
@@ -56,7 +56,7 @@ pub(super) struct PaddedFields<'a> {
     /// Index in `grids` of the parts of these blocks in which particles stand out, if there are
     /// such parts.
     pub(super) parts: Option<usize>,
-    /// Index in `grids` of the blocks in which sheets are made, around `parts`.
+    /// Index in `grids` of the blocks on which sheets are computed, around `parts`.
     pub(super) drops: usize,
 }
 

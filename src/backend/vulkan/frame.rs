@@ -178,9 +178,11 @@ impl Drop for DeviceFrame {
 pub(super) struct DeviceState {
     pub(super) lanes: Vec<Lane>,
     pub(super) batch_bytes: u64,
-    /// Maximum bytes of a frame's pages on the device, until their buffer is made; then 0.
+    /// Maximum bytes of a frame's pages on the device, until the buffer for them is allocated; then
+    /// 0.
     pub(super) resident_bytes: u64,
-    /// Bytes that remain for pages of wider cells, after the buffer for the frame's pages is made.
+    /// Bytes that remain for pages of wider cells, after the buffer for the frame's pages is
+    /// allocated.
     pub(super) wide_bytes: u64,
     /// Whether the CPU does the rest of the work, because the device is lost or has too little
     /// memory.

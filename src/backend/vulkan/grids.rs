@@ -1,4 +1,4 @@
-//! The blocks of a batch in cells of one width, and the data that is uploaded for them.
+//! Those blocks of a batch whose cells have the same width, and the data that is uploaded for them.
 
 use std::ops::Range;
 

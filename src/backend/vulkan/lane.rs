@@ -48,7 +48,7 @@ impl Lane {
         self.numbered((name, 0), device, place, bytes)
     }
 
-    /// Returns buffers for `count` fields of a kind, each with `bytes` bytes.
+    /// Returns buffers for `count` fields of the same kind, each `bytes` bytes long.
     pub(super) fn fields(
         &mut self,
         device: &Device,

@@ -42,9 +42,9 @@ use pipelines::{Pipelines, page_bytes};
 
 /// Maximum bytes of a batch.
 const LARGEST_BATCH: u64 = 128 << 20;
-/// Bytes of the host's memory that a driver takes.
+/// Bytes of host memory that a driver takes.
 const DRIVER: u64 = 96 << 20;
-/// Maximum bytes of the host's memory that a frame takes on a device with its own memory.
+/// The most host memory, in bytes, that a frame needs if the device has its own memory.
 pub(super) const MOST_HOST_BYTES: u64 = LANES as u64 * LARGEST_BATCH + DRIVER;
 
 /// A Vulkan device with all shaders compiled.
@@ -62,7 +62,7 @@ struct FrameBudget {
     batch: u64,
     /// Maximum bytes of the DIF, if it stays on the device.
     resident: u64,
-    /// Total bytes in the host's memory.
+    /// Total bytes of host memory.
     host: u64,
 }
 
@@ -127,8 +127,8 @@ impl Vulkan {
 pub struct ResidentFrame(Arc<DeviceFrame>);
 
 impl ResidentFrame {
-    /// Makes the field of all bins, in smaller batches if memory is exhausted. Downloads of a field
-    /// that stays on the device can fail later: see [`check`](Self::check).
+    /// Computes the field of all bins, in smaller batches if memory is exhausted. Downloads of a
+    /// field that stays on the device can fail later: see [`check`](Self::check).
     ///
     /// # Errors
     /// [`VulkanError`] if the device fails, or has too little memory even for small batches.
@@ -159,7 +159,7 @@ impl ResidentFrame {
         self.0.reader.failed().map_or(Ok(()), Err)
     }
 
-    /// Makes the surfaces of all blocks, in smaller batches if memory is exhausted.
+    /// Computes the surfaces of all blocks, in smaller batches if memory is exhausted.
     ///
     /// # Errors
     /// [`VulkanError`] if the device fails, or has too little memory even for small batches.
@@ -206,7 +206,7 @@ impl Executor for Vulkan {
 impl Stages for Arc<DeviceFrame> {
     /// Keeps the field on the device if it fits. The field goes to the host if the device shares
     /// the host's memory, or if the pages take less memory than the particles, which would have to
-    /// be kept to remake the pages.
+    /// be kept to recompute the pages.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
@@ -275,7 +275,7 @@ impl Stages for Arc<DeviceFrame> {
         if surfaces.solid.is_none() {
             return self.contour_away_from_solids(surfaces, regions, meter, take);
         }
-        // Near solids, the CPU makes the surfaces; their bytes are the same.
+        // Near solids, the CPU computes the surfaces; their bytes are the same.
         for regions in regions.chunks(REGIONS_TOGETHER) {
             let (near, away): (Vec<CellBox>, Vec<CellBox>) =
                 regions.iter().partition(|&&region| surfaces.is_at_solid(region));
@@ -316,8 +316,8 @@ impl Stages for Arc<DeviceFrame> {
 }
 
 impl DeviceFrame {
-    /// Makes the surfaces of `regions`, which no solid cuts, and passes them to `take`. If the
-    /// device fails, the CPU makes the remaining surfaces.
+    /// Computes the surfaces of `regions`, which no solid cuts, and passes them to `take`. If the
+    /// device fails, the CPU computes the remaining surfaces.
     fn contour_away_from_solids(
         &self,
         surfaces: &Surfaces<'_>,

@@ -35,7 +35,7 @@ struct DeviceField {
     shape: PageShape,
 }
 
-/// The pages of bins, remade on the CPU.
+/// The pages of bins, recomputed on the CPU.
 #[derive(Debug)]
 struct RebuiltPages {
     bins: Arc<Bins>,
@@ -50,7 +50,7 @@ impl PageSource for RebuiltPages {
     }
 }
 
-/// Pages that cannot be remade.
+/// Pages that cannot be recomputed.
 #[derive(Debug)]
 struct LostPages(PageShape);
 
@@ -61,7 +61,8 @@ impl PageSource for LostPages {
     }
 }
 
-/// Makes the field of a frame's bins. If a download fails, the CPU remakes the pages from `bins`.
+/// Makes the field of a frame's bins. If a download fails, the CPU recomputes the pages from
+/// `bins`.
 pub(super) fn of_bins(
     frame: &Arc<DeviceFrame>,
     infos: Vec<PageInfo>,

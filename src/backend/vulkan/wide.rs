@@ -1,8 +1,9 @@
-//! The field from distances: first the bulk is made in wide cells, then the field in the cells of
-//! the mesh.
+//! The field from distances: first the bulk is computed on wide cells, then the field on the cells
+//! of the mesh.
 //!
 //! Neighbouring regions share wide cells. The device probes the wide cells, so that only regions
-//! with a surface are meshed, and drops are made only in the parts in which particles stand out.
+//! with a surface are meshed, and drops are computed only in the parts in which particles stand
+//! out.
 
 use std::rc::Rc;
 
@@ -23,7 +24,7 @@ use super::grids::{LevelBlocks, NO_TILES};
 use super::lane::{BufferLayout, Lane, part};
 use super::pipelines::page_bytes;
 
-/// Indices of the block lists of a batch: blocks in wide cells, blocks in the grid's cells, the
+/// Indices of the block lists of a batch: blocks of wide cells, blocks of the grid's cells, the
 /// parts of these blocks in which particles stand out, and the surroundings of these parts for
 /// drops and for sheets.
 const WIDE: usize = 0;
@@ -33,8 +34,8 @@ const DROPS: usize = 3;
 const SHEETS: usize = 4;
 
 impl Contouring<'_> {
-    /// Decides, after the wide cells were made, which regions to mesh, and in which of their parts
-    /// particles stand out.
+    /// Waits until the wide cells of a batch are computed. Then decides which regions to mesh, and
+    /// in which of their parts particles stand out.
     pub(super) fn choose(
         &self,
         lane: &mut Lane,
@@ -75,7 +76,7 @@ impl Contouring<'_> {
         Ok(())
     }
 
-    /// Makes and probes the bulk in wide cells, which neighbouring regions share.
+    /// Computes and probes the bulk on wide cells, which neighbouring regions share.
     pub(super) fn make_wide(
         &self,
         lane: &mut Lane,
@@ -144,7 +145,7 @@ impl Contouring<'_> {
         Ok(WideBulk { blocks, of_regions, probes, fields })
     }
 
-    /// Makes the field on the regions to mesh, from the bulk in wide cells and from the drops in
+    /// Computes the field on the regions to mesh, from the bulk on wide cells and from the drops in
     /// parts of the regions.
     pub(super) fn join_wide(
         &self,

@@ -56,7 +56,7 @@ pub fn full_cells(
 
 /// Makes pages of cells twice as wide from `field`; the twin of
 /// [`DifField::halved`](crate::brick::DifField::halved). Each block must contain the [finer
-/// cells](crate::brick::halved_from) from which a bin is made.
+/// cells](crate::brick::halved_from) from which a bin is computed.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

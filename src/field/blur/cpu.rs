@@ -15,8 +15,8 @@ pub trait BlurSample: Copy + Default + PartialEq {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. The input must be mirrored by `mirror`. The
-/// result is mirrored, too, for the next filter.
+/// Blurs `block` with `weights` along x, then y, then z. The input must be mirrored by `mirror`.
+/// The result is also mirrored, for the next filter.
 ///
 /// The result is smaller than the input by the weights' reach on every side: it has exactly the
 /// cells whose whole neighbourhood is in the input.
@@ -69,8 +69,8 @@ pub fn blur_of_few(
     blurred
 }
 
-/// Blurs like [`blur_of_few`], but does not mirror the result. Computes only the cells that nonzero
-/// samples reach; all other cells are 0.
+/// Blurs like [`blur_of_few`], but does not mirror the result. Computes only the cells within reach
+/// of nonzero samples; all other cells are 0.
 fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights, cells: CellBox) -> Block {
     let reach = weights.reach();
     let near = cells.grown(reach, reach);

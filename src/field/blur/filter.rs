@@ -7,7 +7,8 @@ pub trait Filter {
     /// The distance, in cells, within which input cells affect an output cell.
     fn halo(&self) -> i32;
 
-    /// The maximum distance, in cells, of nonzero output from a full cell.
+    /// The maximum distance, in cells, from a nonzero cell of the output to the nearest full cell
+    /// of the input.
     fn reach(&self) -> i32 {
         self.halo()
     }

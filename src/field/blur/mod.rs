@@ -25,7 +25,7 @@ const UNIT: u32 = 1 << 16;
 /// A symmetric filter: integer weights that sum to 65536.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Weights {
-    /// The weight of the centre, then of the cells 1, 2, ... away on either side.
+    /// The weight of the centre, then of the cells at distances 1, 2, ... on either side.
     half: Vec<u32>,
     /// The gain in bits: results are 2^`gain` times the weighted mean of the samples.
     gain: u32,
@@ -57,8 +57,8 @@ impl Weights {
             let second: f64 = tails().map(|(k, weight)| f64::from(k * k) * weight).sum();
             (sum, 2.0 * second / sum)
         };
-        // The cut makes the filter narrower than the full Gaussian, so wider Gaussians are tried
-        // too.
+        // The cut makes the filter narrower than the full Gaussian, so the search also tries wider
+        // Gaussians.
         let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
         for _ in 0..60 {
             let middle = (below + above) / 2.0;
@@ -107,7 +107,7 @@ impl Weights {
         2.0 * moments.sum::<u64>() as f64 / f64::from(UNIT)
     }
 
-    /// The weight of the centre, then of the cells 1, 2, ... away on either side.
+    /// The weight of the centre, then of the cells at distances 1, 2, ... on either side.
     pub fn half(&self) -> &[u32] {
         &self.half
     }

@@ -14,7 +14,7 @@ const PLACES: u64 = 8;
 /// Edge of a synthetic fluid, in spacings or in cells, whichever is longer.
 const EDGE: f64 = 16.0;
 
-/// A synthetic fluid has at most this many particles along the edge of a cell. With this number of
+/// A synthetic fluid has at most this many particles along the edge of a cell. With so many
 /// particles, disorder does not change the sample of a cell.
 const LONGEST: f64 = 24.0;
 
@@ -29,8 +29,8 @@ const JITTER: f64 = 0.3;
 /// estimate would depend on a few particles.
 const TELLING: u64 = 1000;
 
-/// The maximum number of particles in a cell that count for the estimate of disorder, relative to
-/// the usual number. Particles beyond this number are a clump.
+/// The estimate of disorder counts at most this many particles per cell, relative to the usual
+/// number. Any further particles are a clump.
 const MOST: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart, on a disordered lattice.

@@ -55,8 +55,8 @@ impl<'a> Interior<'a> {
     pub fn new(blurred: &'a BlurredSamples<'a>, gap: f64) -> Self {
         let &BlurredSamples { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
-        // Half the edge of the cube around each cell. The 1e-9 absorbs the rounding error of a
-        // quotient of decimals.
+        // How far, in cells, the cube around each cell extends on every side of it. The 1e-9
+        // absorbs the rounding error of a quotient of decimals.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
@@ -76,8 +76,8 @@ impl<'a> Interior<'a> {
         blocks.filter(|cells| !cells.is_empty()).collect()
     }
 
-    /// Adds the samples of the smoothed DIF in the interior cells among `cells`, which are a block
-    /// or a part of one.
+    /// Adds the smoothed DIF of the interior cells among `cells` to `histogram`. `cells` are a
+    /// block or a part of one.
     pub fn add(&self, histogram: &mut Histogram, cells: CellBox) {
         let Self { blurred, dilation, erosion } = *self;
         if !blurred.meter.goes_on() {

@@ -1,8 +1,9 @@
 //! mu0, the mean number of particles in a full cell (eq. 4): given, or measured before counts
 //! become the DIF.
 //!
-//! Counts become the DIF after all pages are made, so mu0 is measured on all pages. Only the
-//! counting indicator needs it; the density of clouds follows from the particles' spacing.
+//! Counts are converted to the DIF only after all pages are complete, so mu0 is measured on all
+//! pages. Only the counting indicator needs it; the density of clouds follows from the particles'
+//! spacing.
 
 use thiserror::Error;
 
@@ -23,7 +24,7 @@ pub struct NoMeanCount(#[source] pub(crate) UnitError);
 pub trait BinnedFrame {
     /// The pages, and any other data that is kept with them.
     type Made;
-    /// The error of a storage that fails.
+    /// The error if storage fails.
     type Error: From<NoMeanCount>;
 
     /// Makes the pages of all bins, and counts the full cells and their particles.

@@ -25,8 +25,8 @@ use super::expected::expected;
 use super::histogram::Histogram;
 use super::interior::{BlurredSamples, Interior};
 
-/// The maximum number of examined blocks; a larger frame is sampled at equal steps along the Morton
-/// curve.
+/// The maximum number of blocks in a sample of a frame's blocks. They are chosen at equal steps
+/// along the Morton curve.
 const SAMPLED_BLOCKS: usize = 64;
 
 /// The minimum interior volume, in cubed spacings, in the middles of the sampled blocks. If the
@@ -175,8 +175,8 @@ fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u1
         Some((samples.quantile(0.5)?, samples.quantile(0.0)?))
     };
     let of_middles = if sampled.len() < blocks.len() { of(&middles(), enough) } else { None };
-    // A frame without depth has few interior cells for its number of blocks, or is all spray:
-    // examine all blocks.
+    // Shallow frames have few interior cells in each block, and spray may have none. For such
+    // frames, examine all blocks.
     of_middles.or_else(|| of(&sampled, least)).or_else(|| of(&blocks, least))
 }
 

@@ -4,8 +4,8 @@
 //! For the paper's indicators, the step depends on the cells:
 //!
 //! In cells of h spacings, a cell deep in the fluid holds h^3 particles on average. In small cells,
-//! the plateau P is about this fraction of the value of a full cell. The field at a flat surface is
-//! P Phi(x / s), where x is the depth and s the standard deviation of a smoothed particle. One step
+//! the plateau P is about h^3 times the value of a full cell. The field at a flat surface is P
+//! Phi(x / s), where x is the depth and s the standard deviation of a smoothed particle. One step
 //! of the field therefore moves the surface by s / (P phi(z)), where Phi(z) = 0.47.
 
 use std::fmt;
@@ -70,7 +70,7 @@ pub enum TooFine {
         /// The particles' spacing.
         spacing: f64,
     },
-    /// Too many cells are empty to determine the positions of particles in them.
+    /// So many cells are empty that the surface depends on where in the other cells particles lie.
     #[error(
         "the cell size {} is too small for the symmetry indicator: at most one cell in eight would \
          contain a particle; use a cell size of {} or more",
@@ -158,7 +158,7 @@ pub fn check_cell_size(
             return Remedy::Origin((grid.origin() + grid.cell_size() / 2.0).to_array());
         }
         // The plateau is proportional to the cell's volume, so the step in cells is inversely
-        // proportional to it.
+        // proportional to that volume.
         Remedy::Cells(roundly_above(cell_size * libm::cbrt(step_cells / COARSEST_STEP)))
     })
 }

@@ -291,7 +291,7 @@ fn means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], sh
     }
 }
 
-/// Fills `to` with weighted means. The sums have 64 bits, for weights with which they can exceed 32
+/// Fills `to` with weighted means. The sums have 64 bits, because with some weights they exceed 32
 /// bits.
 fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3], shift: u32) {
     let product = |weight: u32, tap: u16| u64::from(weight) * u64::from(tap);

@@ -29,7 +29,7 @@ const AROUND_CUT: f64 = 1.7;
 /// up to the first limit is noise, and from the second limit on it is shape.
 const APART: [f64; 2] = [0.07, 0.14];
 /// The depths, in spacings, between which the fine surface fades out. Deeper in the fluid, noise
-/// would make bubbles in the fine surface.
+/// would form bubbles in the fine surface.
 const DEEP: [f64; 2] = [0.3, 0.9];
 /// The minimum variance of a filter, in squared cells: a narrower filter would have almost no
 /// weight beyond its centre.
@@ -40,7 +40,7 @@ const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
 /// The maximum standard deviation of drops, in spacings. It limits drops in coarse cells.
 const WIDEST_DROP: f64 = 8.0;
 /// The distance from a particle, in spacings, within which the bulk has a surface, and within which
-/// the particle's drop is made if the particle stands out.
+/// the particle's drop is computed if the particle stands out.
 const NEAR: f64 = 1.0;
 /// The distances, in spacings, of a particle's centre outside the calm surface. At the first
 /// distance, the particle begins to stand out; from the second on, it stands out completely.
@@ -70,18 +70,18 @@ pub(in crate::field) const SPLINE: f64 = 0.25;
 /// sets a measured one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DistanceFilters {
-    /// The calm surface is made in wide cells. Each has 2^`level` cells along an axis.
+    /// The calm surface is computed on wide cells. Each has 2^`level` cells along an axis.
     pub level: u32,
     /// The parameters of the bulk's surface.
     pub bulk: Bulk,
-    /// The maximum distance, in wide cells, of a surface from a particle along each axis.
+    /// The maximum distance, in wide cells along each axis, from a surface to the nearest particle.
     pub near: i32,
     /// The minimum sample of a wide cell that contains a particle's centre.
     pub least: u16,
     /// The distances from the calm surface at which drops and sheets fade in.
     pub stands_out: StandsOut,
-    /// Drops are made in cells 2^`drops_level` times as wide as the grid's cells: half as wide as
-    /// wide cells, or the grid's own cells if these are the wide cells.
+    /// Drops are computed on cells 2^`drops_level` times as wide as the grid's cells: half as wide
+    /// as wide cells, or the grid's own cells if these are the wide cells.
     pub drops_level: u32,
     /// The parameters of drops.
     pub drops: Drops,
@@ -226,7 +226,7 @@ impl DistanceFilters {
         self.bulk.reach() + self.near.max(self.bulk.around.reach())
     }
 
-    /// The halo, in wide cells, of the density from which sheets are made.
+    /// The halo, in wide cells, of the density from which sheets are computed.
     #[must_use]
     pub fn sheets_halo(&self) -> i32 {
         let further = |sheets: &Sheets| {
@@ -244,15 +244,15 @@ impl DistanceFilters {
         self.wide_halo().max(self.sheets_halo())
     }
 
-    /// The halo of drops and sheets, in the cells in which they are made.
+    /// The halo of drops and sheets, in the cells on which they are computed.
     #[must_use]
     pub fn drops_halo(&self) -> i32 {
         self.sheets.as_ref().map_or(0, Sheets::halo).max(self.drops.halo())
     }
 
     /// The distance, in cells, within which particles affect the field of a cell. It includes the
-    /// reach of the clouds, of the wide cells made from them, and of the spline that interpolates
-    /// wide cells.
+    /// reach of the clouds, of the wide cells computed from them, and of the spline that
+    /// interpolates wide cells.
     #[must_use]
     pub fn halo(&self) -> i32 {
         let in_wide = |level: u32, halo: i32| {
@@ -276,7 +276,7 @@ impl DistanceFilters {
             .union(&halved_from_all(self.drops_level, drops))
     }
 
-    /// The maximum distance, in cells, of a surface from a full cell.
+    /// The maximum distance, in cells, from a surface to the nearest full cell.
     #[must_use]
     pub fn reach(&self) -> i32 {
         (self.near + 2) << self.level
@@ -291,15 +291,16 @@ impl DistanceFilters {
         widths.chain([&self.bulk.around, &self.drops.around, &self.drops.spread]).chain(sheets)
     }
 
-    /// Memory, in bytes, that is needed to make the surface of the bulk on the wide cells `wide`.
+    /// Memory, in bytes, that is needed to compute the surface of the bulk on the wide cells
+    /// `wide`.
     #[must_use]
     pub fn bulk_bytes(&self, wide: CellBox) -> u64 {
         let halo = self.wide_halo();
         6 * volume_bytes(wide.grown(halo, halo))
     }
 
-    /// Maximum memory, in bytes, that is needed to make the field of a block. It also suffices for
-    /// the bulk's surface on a box of 2 x 2 x 2 blocks.
+    /// Maximum memory, in bytes, that is needed to compute the field of a block. It also suffices
+    /// for the bulk's surface on a box of 2 x 2 x 2 blocks.
     #[must_use]
     pub fn block_bytes(&self) -> u64 {
         let cells = |edge: i32| CellBox { lo: IVec3::NEG_ONE, hi: IVec3::splat(edge + 2) };
@@ -313,8 +314,8 @@ impl DistanceFilters {
 }
 
 /// Makes the parameters of drops and sheets for particles `spacing` cells apart. Drops and sheets
-/// are made in cells half as wide as wide cells, or in the grid's own cells if those are the wide
-/// cells. `is_refined` says whether splines interpolate drops and sheets on the mesh.
+/// are computed on cells half as wide as wide cells, or on the grid's own cells if those are the
+/// wide cells. `is_refined` says whether splines interpolate drops and sheets on the mesh.
 fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, Option<Sheets>) {
     let wide = WideCells::of_spacing(spacing);
     let in_drops = spacing / f64::from(1 << wide.level.saturating_sub(1));
@@ -322,7 +323,8 @@ fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, O
     (drops, Sheets::new(sheets, [1.0 / spacing, 1.0 / in_drops], wide, shape))
 }
 
-/// The cells from which `wide` is made, a box of cells that are 2^`level` times as wide.
+/// The cells from which `wide` is computed. `wide` is a box of cells that are 2^`level` times as
+/// wide.
 fn halved_from_all(level: u32, wide: CellBox) -> CellBox {
     (0..level).fold(wide, |wide, _| halved_from_box(wide))
 }
@@ -355,7 +357,7 @@ impl Bulk {
 }
 
 impl Drops {
-    /// The halo of drops, in the cells in which they are made.
+    /// The halo of drops, in the cells on which they are computed.
     #[must_use]
     pub fn halo(&self) -> i32 {
         self.around.reach() + self.spread.reach()

@@ -2,8 +2,8 @@
 //! its field are computed.
 //!
 //! A brick of 4^3 wide cells is full if every cube of about 4 spacings that overlaps it holds at
-//! least 0.85 of the number of particles that the plateau implies. A full brick is inside if its 26
-//! neighbours are full too. In inside bricks, the field has its maximum at every stage, so that
+//! least 0.85 of the number of particles that the plateau implies. A brick is inside if it and its
+//! 26 neighbours are full. In inside bricks, the field has its maximum at every stage, so that
 //! meshes stay closed even if the fluid has bubbles in these bricks. Cubes slide in steps of two
 //! wide cells, so a bubble is found at any position: a bubble with a radius of two spacings takes
 //! up at least a quarter of one of the cubes.
@@ -112,7 +112,7 @@ impl Cube<bool> {
         Self::new(0, edge as i32, |place| self.values[at(place)])
     }
 
-    /// Makes a bit for each brick of a bin, at the brick's Morton index.
+    /// Returns one bit per brick of a bin, at the brick's Morton index.
     fn bits(&self) -> u64 {
         let edge = BRICKS as usize;
         debug_assert_eq!(self.edge, edge);

@@ -1,8 +1,8 @@
 //! Signed distances from clouds: a calm surface of the bulk, and the drops that stand out from it.
 //!
 //! All lengths are in particle spacings d, so the surface does not depend on the cell size. The
-//! surface of the bulk is made in [wide cells](super::indicator::WideCells) of 0.55 to 1.1 d, or in
-//! the grid's own cells if they are wider.
+//! surface of the bulk is computed on [wide cells](super::indicator::WideCells) of 0.55 to 1.1 d,
+//! or on the grid's own cells if those are wider.
 //!
 //! 1. Depth. A half space smoothed by a Gaussian of standard deviation s is Phi(depth / s). Where
 //!    the clouds' density, smoothed in this way, is theta times the plateau, D_s = s Phi^-1(theta)
@@ -15,12 +15,12 @@
 //! 3. Mixed. The difference between the two surfaces is averaged by a Gaussian of 9/16 S, which
 //!    cancels noise and keeps shape. As this mean difference grows from 0.07 to 0.14 d, the fine
 //!    surface replaces the calm one. From 0.3 to 0.9 d below the calm surface, the fine surface
-//!    fades out again, because noise would make bubbles in it there.
+//!    fades out again, because noise would form bubbles in it there.
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), where rho is the clouds' density
-//!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and its
-//!    drop is a ball of radius r, with the signed distance r - 0.6 sqrt(2 ln(1 / N)). N is made in
-//!    cells half as wide as wide cells. If the wide cells are the grid's own cells, N is made in
-//!    the same cells.
+//!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and the
+//!    particle's drop is a ball of radius r, with the signed distance r - 0.6 sqrt(2 ln(1 / N)). N
+//!    is computed on cells half as wide as wide cells. If the wide cells are the grid's own cells,
+//!    N is computed on these cells.
 //! 5. Joined. A particle stands out if its centre lies outside the calm surface, by the distance O
 //!    = -E of its wide cell. The greatest O within a spacing determines to what degree drops
 //!    replace the bulk's surface: not at all up to 0.4 d, and completely from 1 d on. Where the
@@ -169,7 +169,7 @@ impl StandsOut {
     /// The distance that counts for a particle `distance` outside the calm surface: `distance` or
     /// less. `apart` is the difference between the fine and the calm surface. Where it is small, as
     /// in the bulk, a distance at which no drop stands out is reduced, so that no drop has to be
-    /// made.
+    /// computed.
     #[inline(always)]
     pub fn of_particle(&self, distance: u16, apart: u16) -> u16 {
         let earlier = (u32::from(self.earlier) * self.apart.of(apart)) >> 12;

@@ -27,7 +27,7 @@ pub const CUBE_PARTS: u32 = MOST_PARTS.pow(3);
 /// Number of words that hold one bit for each cube within these parts.
 pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::BITS);
 
-/// Shaders that make distances.
+/// Shaders that compute distances.
 #[derive(Debug)]
 pub struct DistancePipelines {
     /// The calm and the fine surface of the bulk, and the difference between them.
@@ -240,8 +240,8 @@ pub fn probe(
     batch.dispatch(&pipelines.probe, &views, &push, [1, count, 1])
 }
 
-/// Interpolates `wide` blocks at the middles of the cells of `blocks`. `within` holds the number of
-/// the wide block in which each block lies.
+/// Interpolates `wide` blocks at the middles of the cells of `blocks`. For each block, `within`
+/// holds the number of the wide block that contains it.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

@@ -53,8 +53,9 @@ const LEAST_WIDTH: f64 = 2.5;
 /// The walls at which clouds end.
 ///
 /// The outermost layer of cells in a tank extends to the wall, so it is between 0.5 and 1.5 cells
-/// thick, and holds as many times the particles of a whole cell. What particles add to its samples
-/// is divided by the thickness, because filters mirror these samples at the wall.
+/// thick, and the number of particles in it is proportional to its thickness. Filters mirror its
+/// samples at the wall, so the contributions of particles to these samples are divided by the
+/// thickness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CloudWalls {
     /// The cells within the walls.
@@ -105,7 +106,7 @@ fn raised(part: u32, gain: u32) -> u32 {
     (part * gain + NO_GAIN / 2) >> GAIN_BITS
 }
 
-/// The number of cells of a bin along an axis, with the cells below and above.
+/// The number of cells of a bin along an axis, including one cell below and one above.
 const ROW_AROUND: usize = ROW + 2;
 
 /// For each axis, the gain of each cell around a bin, from the one below the bin to the one above.
@@ -176,19 +177,20 @@ fn shares(offset: u32) -> [u32; 3] {
     [below, (1 << SHARE_BITS) - below - above, above]
 }
 
-/// A share of an amount, rounded, if both have 16 bits.
+/// A share of an amount, rounded. Their product must fit in 32 bits.
 #[inline(always)]
 fn part_of(amount: u32, share: u32) -> u32 {
     (amount * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS
 }
 
-/// A share of an amount, rounded, if their product has at most 48 bits.
+/// A share of an amount, rounded. Their product must fit in 48 bits.
 #[inline(always)]
 fn wide_part_of(amount: u32, share: u32) -> u32 {
     ((u64::from(amount) * u64::from(share) + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u32
 }
 
-/// Makes the clouds of a bin's particles. `amount` applies unless each particle has its own amount.
+/// Adds up the clouds of a bin's particles. All clouds have the same `amount` unless each particle
+/// has its own.
 pub struct Clouds {
     amount: u16,
     walls: Option<CloudWalls>,

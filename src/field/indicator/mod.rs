@@ -52,7 +52,7 @@ pub enum IndicatorKind {
     Cloud,
 }
 
-/// The indicator that made a field, with `mu0` for counting.
+/// The indicator that computed a field, with `mu0` for counting.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Indicator {
     /// [`IndicatorKind::Symmetry`].

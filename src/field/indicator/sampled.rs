@@ -12,12 +12,12 @@ use super::{Amount, Indicator, WideCells};
 pub struct SampledDif {
     /// Facts of the frame.
     pub facts: FrameFacts,
-    /// The indicator that made the DIF, with mu0 for counting.
+    /// The indicator that computed the DIF, with mu0 for counting.
     pub indicator: Indicator,
     /// The samples.
     pub dif: Arc<DifField>,
     /// Clouds in cells that are 2, 4, ... times as wide as the grid's, up to wide cells and
-    /// `more_levels` beyond. They are made on first access.
+    /// `more_levels` beyond. They are computed on first access.
     wide: OnceLock<Vec<Arc<DifField>>>,
     /// The number of levels beyond the frame's wide cells.
     more_levels: u32,
@@ -53,7 +53,7 @@ impl SampledDif {
         self.indicator == Indicator::Cloud
     }
 
-    /// The wide cells in which the calm surface of clouds is made.
+    /// The wide cells on which the calm surface of clouds is computed.
     pub fn wide_cells(&self) -> WideCells {
         WideCells::of_spacing(self.facts.spacing_cells_or_one())
     }
@@ -69,8 +69,8 @@ impl SampledDif {
         &self.levels()[below]
     }
 
-    /// Makes the samples of all levels, unless they are made already. Otherwise, several threads
-    /// could make them at the same time.
+    /// Computes the samples of all levels, unless they are computed already. Without this call,
+    /// several threads could compute the same levels at the same time.
     pub fn make_levels(&self) {
         self.levels();
     }
@@ -78,8 +78,8 @@ impl SampledDif {
     fn levels(&self) -> &[Arc<DifField>] {
         self.wide.get().unwrap_or_else(|| {
             let levels = self.halved();
-            // Two threads may make the levels. A lock would prevent this, but a thread that runs
-            // other work while it waits for the lock could wait for itself.
+            // Two threads may compute the levels at the same time. A lock would prevent this, but a
+            // thread that runs other work while it waits for the lock could wait for itself.
             self.wide.get_or_init(|| levels)
         })
     }

@@ -1,10 +1,10 @@
-//! Wide cells: the cells in which distances from clouds are made. Their size in spacings is similar
-//! for all meshes.
+//! Wide cells: the cells on which distances are computed from clouds. Their size in spacings is
+//! similar for all meshes.
 
 use super::Amount;
 
-/// The minimum edge, in spacings, of the cells in which the calm surface is made. Finer cells are
-/// merged first.
+/// The minimum edge, in spacings, of the cells on which the calm surface is computed. Finer cells
+/// are merged first.
 const LEAST_WIDE: f64 = 0.55;
 
 /// The width of a frame's wide cells.

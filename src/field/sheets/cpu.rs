@@ -33,8 +33,8 @@ pub fn holds_any(sheets: &Sheets, clouds: &Block) -> bool {
     false
 }
 
-/// Reduces clouds in the bulk, on the cells of `smooth`: the clouds, smoothed by the filter that
-/// shows the bulk, which `scale` converts to fractions of the plateau.
+/// Reduces clouds in the bulk, on the cells of `smooth`. `smooth` are the clouds after smoothing by
+/// the filter that shows the bulk; `scale` converts them to fractions of the plateau.
 ///
 /// # Panics
 /// If `clouds` does not cover `smooth`.

@@ -141,8 +141,8 @@ pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
 /// The maximum difference between the density's natural logarithms at the middle and at the cell.
 const MOST_MORE: f64 = 0.7;
 
-/// The parameters for joining sheets. The density is computed in wide cells and interpolated in the
-/// narrower cells in which drops are made.
+/// The parameters for joining sheets. The density is computed on wide cells and interpolated on the
+/// narrower cells of drops.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheets {
     /// The filter that shows the bulk, in wide cells, with the gain of the bulk's own filters.
@@ -233,7 +233,7 @@ const fn ramp([begin, end]: [f64; 2]) -> Ramp {
     Ramp::new(fixed(begin) as u16, fixed(end - begin) as u16)
 }
 
-/// The properties of the drops in the same cells that affect sheets.
+/// Properties of the drops that sheets depend on. Drops and sheets are computed on the same cells.
 #[derive(Debug, Clone, Copy)]
 pub struct DropShape {
     /// The radius of the drop of a single particle, in spacings.
@@ -247,8 +247,8 @@ pub struct DropShape {
 
 impl Sheets {
     /// Makes the parameters of sheets that are stretched up to `stretch`. The mesh has cells of
-    /// `mesh_cell` spacings. Sheets are made in cells of `cell` spacings, from a density that is
-    /// interpolated from `wide` cells. Returns `None` if `stretch` turns sheets off.
+    /// `mesh_cell` spacings. Sheets are computed on cells of `cell` spacings, from a density that
+    /// is interpolated from `wide` cells. Returns `None` if `stretch` turns sheets off.
     pub fn new(
         stretch: SheetStretch,
         [mesh_cell, cell]: [f64; 2],

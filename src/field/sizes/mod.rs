@@ -13,17 +13,17 @@
 //! 2. Field. Each octave turns its density into [distances](super::distance), in its own spacings
 //!    and with the filters for particles of a single size.
 //! 3. Mixed. A particle's size lies between two octaves, at log2(s / d). Under a Gaussian of 1.5
-//!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, limited to 0 to 1.
-//!    With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k R_(k + 1). In fluid
-//!    of size 2^k d, R_k is B_k. The bulk's surface is R_0.
+//!    spacings of octave k, f_k is the volume-weighted mean of log2(s / d) - k, limited to the
+//!    range from 0 to 1. With B_k the surface of the bulk in octave k, R_k = (1 - f_k) B_k + f_k
+//!    R_(k + 1). In fluid of size 2^k d, R_k is B_k. The bulk's surface is R_0.
 //! 4. Drops. In each octave, particles that lie outside R_k add their drops and sheets. The radius
 //!    of drops grows with the mean logarithm of the sizes of the octave's nearby particles.
 //!
 //! 5. Cells. Blocks that have no particles of octaves below k nearby consist of the cells of octave
 //!    k. The surface of the bulk in these blocks is R_k. See `levels`.
 //!
-//! No sample depends on the box of cells in which it is made. Where a share is 0, the field that it
-//! multiplies is not computed; this does not change any sample.
+//! No sample depends on the box of cells in which it is computed. Where a share is 0, the field
+//! that it multiplies is not computed; this does not change any sample.
 
 mod clouds;
 mod levels;

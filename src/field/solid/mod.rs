@@ -1,5 +1,5 @@
-//! Solids: clouds are continued into solids before the surface of the bulk is made, and solids cut
-//! the field afterwards.
+//! Solids: clouds are continued into solids before the surface of the bulk is computed, and solids
+//! cut the field afterwards.
 //!
 //! Let rho be a cell's density, and w the share of the cell's cloud that lies outside the solid. w
 //! is computed as if the solid were bounded by a plane at the solid's distance from the cell's

@@ -98,7 +98,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
         enough.then(|| {
             // In cells of this width, the particles of the coarser resolution may have no interior
-            // cells, so wider cells are tried too.
+            // cells, so this also tries wider cells.
             let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
             Spacings {
                 mean: cell * libm::cbrt(cells as f64 / total as f64),

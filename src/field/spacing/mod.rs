@@ -44,7 +44,7 @@ const MOST_SEARCHED: usize = 1 << 15;
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
-/// An estimate that fails for coordinates beyond this fails because of their size.
+/// If an estimate fails and the coordinates are beyond this, their size is the reason.
 const LARGEST: f64 = 1e100;
 /// The minimum share of deep particles; with a smaller share, the fluid is thin.
 const THIN: f64 = 0.15;
@@ -370,8 +370,8 @@ impl SpacingDraft {
         Some(self.with_sample(in_cubes.sample()))
     }
 
-    /// Searches a sample for neighbours, as far as the check of the count needs them, and adds
-    /// them.
+    /// Searches a sample for neighbours, as far as the check of the count needs them, and adds the
+    /// result.
     pub fn with_sample(self, sample: NeighbourSample) -> Evidence {
         let neighbours = Neighbours::for_check(sample, self.counted());
         self.with(neighbours)

@@ -299,7 +299,7 @@ impl CubeSample {
     }
 
     fn within(room: usize, cubes: Cubes, particles: usize) -> Self {
-        // Below this end, twice as many particles as fit are expected, so that the cubes with the
+        // Twice as many particles as fit are expected below this end, so that the cubes with the
         // lowest numbers hold enough.
         let share = 2.0 * room as f64 / particles.max(1) as f64;
         let end = (share * f64::from(u32::MAX)) as u32;

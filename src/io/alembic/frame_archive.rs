@@ -137,8 +137,8 @@ impl FrameArchive {
         }
     }
 
-    /// Adds the frame in file `mesh.file` of the folder, and removes the file. Does nothing if
-    /// there is no such file of `mesh.bytes` bytes: the frame was added before.
+    /// Adds the frame in file `mesh.file` of the folder, and removes the file. Does nothing if the
+    /// folder has no such file of `mesh.bytes` bytes, because the frame was then added before.
     ///
     /// `times` must return the times of the given frames, in seconds and in frame order. An archive
     /// with a different `fingerprint` is replaced.

@@ -12,7 +12,7 @@ use super::ogawa::{HEADER, LENGTH, OgawaBlocks, OgawaChild};
 /// The index of the time sampling of the mesh.
 const OF_FRAMES: u32 = 1;
 
-/// An array of a mesh, or its bounding box.
+/// An array of a mesh, or the bounding box of the mesh.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AbcArray {
     pub header: AbcHeader,

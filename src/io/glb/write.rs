@@ -1,4 +1,4 @@
-//! Writing .glb files.
+//! Writes .glb files.
 
 use std::io::{self, Write};
 
@@ -16,10 +16,10 @@ use super::{GlbCompression, GlbLayout, grid_step};
 /// bytes of memory per vertex. With compression, all data is held in memory.
 ///
 /// Positions are f32. With [`CoordinateWidth::F64`], they are relative to the centre of the mesh's
-/// bounding box, and the node moves the mesh there. Colours are written as COLOR_0, COLOR_1 and so
-/// on, with values from 0 to 1 and without conversion of the colour space. Other attributes are
-/// named in upper case with a leading underscore. Attributes with more than four components are
-/// left out.
+/// bounding box, and the node moves the mesh to this centre. Colours are written as COLOR_0,
+/// COLOR_1 and so on, with values from 0 to 1 and without conversion of the colour space. Other
+/// attributes are named in upper case with a leading underscore. Attributes with more than four
+/// components are left out.
 ///
 /// # Errors
 /// The errors of `mesh` and `out`. [`io::ErrorKind::InvalidInput`], before anything is written, if

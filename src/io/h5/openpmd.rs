@@ -24,7 +24,8 @@ use super::table::{H5Array, RowWindows, chosen_type, fault_of, types};
 const NO_RECORDS: [&str; 3] = ["position", "positionOffset", "particlePatches"];
 const AXES: [&str; 3] = ["x", "y", "z"];
 
-/// The group that contains all iterations. An attribute of the root gives its path.
+/// The group that contains all iterations. An attribute of the root contains the path of this
+/// group.
 fn iterations(root: &Group) -> Result<Group, ReadFault> {
     let base = root.attribute("basePath").and_then(|path| path.read_string());
     let base = base.unwrap_or_else(|_| "/data/%T/".to_owned());

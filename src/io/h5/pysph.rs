@@ -26,7 +26,7 @@ pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleF
     Ok(ParticleFile { time, particle_types, ..file.without(TAG) })
 }
 
-/// Makes a table from arrays, which it identifies by name: `x`, `y` and `z` are the position, and
+/// Makes a table from arrays, which are identified by name: `x`, `y` and `z` are the position, and
 /// `u`, `v` and `w` are the velocity.
 fn table(arrays: Vec<H5Array>) -> Result<H5Table, ReadFault> {
     let named =

@@ -95,8 +95,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     }
     let search = GroupSearch::of(&root, file)?;
     let several = search.candidates.iter().filter(|c| c.frames().is_some_and(|frames| frames > 1));
-    // This only counts frames and chooses no group yet. Reading a frame returns an error if the
-    // choice is missing.
+    // Only counts frames, so several groups of particles are no error here. Reading a frame fails
+    // if it is unclear which group to read.
     let Some(longest) = several.max_by_key(|candidate| candidate.frames()) else {
         return Ok(Vec::new());
     };

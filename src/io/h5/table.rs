@@ -478,8 +478,8 @@ impl H5Table {
         Some(Self::with_others(arrays, position, Vec::new()))
     }
 
-    /// Makes a table from the given columns. Every other array with the same number of rows becomes
-    /// an attribute, too, unless it has too many numbers per row.
+    /// Makes a table from the given columns. Every other array with the same number of rows also
+    /// becomes an attribute, unless it has too many numbers per row.
     pub fn with_others(
         arrays: Vec<H5Array>,
         position: [Place; 3],

@@ -36,7 +36,8 @@ impl<'a> NumberBytes<'a> {
     }
 
     /// Returns the location and the columns of an attribute whose numbers can be used in place.
-    /// Returns `None` if they must be unpacked first, such as half floats or constant pages.
+    /// Returns `None` for numbers that must be unpacked first, such as half floats or constant
+    /// pages.
     pub fn columns(&self, values: &PointValues) -> Option<(NumberLocation, Vec<Column>)> {
         let column = |run: NumberRun, components: u64| {
             let Storage::Scalar(scalar) = run.numbers.storage else { return None };

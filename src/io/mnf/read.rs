@@ -30,7 +30,8 @@ use super::{
 const RELEASED: u64 = 4 << 20;
 /// Number of bytes that the system maps around an accessed byte.
 const AROUND: u64 = 64 << 10;
-/// The valid densities of particles of several sizes: their volume per unit volume.
+/// The valid densities for particles of several sizes. A density is the particles' volume per unit
+/// volume.
 const DENSITIES: RangeInclusive<f64> = 0.01..=100.0;
 /// Number of bytes that are added to a checksum at a time.
 const CHUNK: usize = 1 << 20;
@@ -500,7 +501,7 @@ fn read_entry(
     let full = CellBox { lo: local.lo + coord * BIN, hi: local.hi + coord * BIN };
     let octave = u32::from(field / 2);
     let grid = CellBox { lo: IVec3::splat(-CELL_LIMIT), hi: IVec3::splat(CELL_LIMIT) };
-    // A cloud reaches the cell next to that of its particle.
+    // A cloud reaches the cells next to its particle's cell.
     let further = i32::from(octave > 0);
     let limits = grid.in_wider_cells(octave).grown(further, further);
     let walls = facts.domain.map(|domain| domain.in_wider_cells(octave).cells());

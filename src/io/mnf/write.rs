@@ -50,7 +50,7 @@ impl<W: Write> FrameWriter<W> {
     /// needs no buffer.
     ///
     /// # Errors
-    /// The errors of `out`. The methods below return them too.
+    /// The errors of `out`. The methods below also return them.
     pub fn create(out: W, shape: PageShape) -> io::Result<Self> {
         Self::of_version(VERSION, out, shape)
     }

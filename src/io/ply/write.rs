@@ -1,4 +1,4 @@
-//! Writing .ply files.
+//! Writes .ply files.
 
 use std::io::{self, Write};
 

@@ -48,8 +48,8 @@ const NOTATIONS: [Notation; 7] =
 const LABELS: [&str; 8] =
     ["columns", "column", "fields", "names", "variables", "header", "format", "data"];
 
-/// Words of sentences, which are not names of columns. Words that are also names are missing, such
-/// as `at` and `by`.
+/// Words of sentences, which are not names of columns. Words that are also names, such as `at` and
+/// `by`, are left out.
 const PROSE: [&str; 12] =
     ["along", "and", "are", "as", "for", "from", "in", "is", "of", "the", "to", "with"];
 
@@ -204,10 +204,10 @@ fn numbered_after(line: &str) -> Vec<String> {
     names.chunk_by(|one, next| one == next).flat_map(|run| components(&run[0], run.len())).collect()
 }
 
-/// The names in a line such as `rho vel pos` or `rho, v[3], x[3]`, in which a name stands for all
-/// components of a vector, and whether all names are well known. In a second list, short names
-/// stand for vectors, too, as in `rho v x`, provided that all names are well known. There is no
-/// list if the line names no vector.
+/// Lists of the names in a line such as `rho vel pos` or `rho, v[3], x[3]`, in which a name stands
+/// for all components of a vector. Each list says whether all of its names are well known. In a
+/// second list, short names also stand for vectors, as in `rho v x`, provided that all names are
+/// well known. There is no list if the line names no vector.
 fn vectors_in(line: &str) -> Vec<(Vec<String>, bool)> {
     if line.len() > LONGEST_NAMES {
         return Vec::new();
@@ -271,8 +271,8 @@ struct ShortVectors {
 }
 
 impl ShortVectors {
-    /// The short names among others. There is none if a longer name names the same vector, or if
-    /// the other components have names, as in `x y z` or `u v w`.
+    /// The short names among `names`. A vector has none if a longer name stands for the same
+    /// vector, or if the letter is a component among others, as in `x y z` or `u v w`.
     fn among<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Self {
         let is_named = |known: &str| names.clone().any(|name| name.eq_ignore_ascii_case(known));
         let find = |known: &[&'static str]| known.iter().copied().find(|name| is_named(name));
@@ -490,8 +490,8 @@ impl<'a> Comments<'a> {
         Some(ReadFault::Line { line, what })
     }
 
-    /// The line of the first, and the text, of the last lines that have a single word each. `None`
-    /// if there are fewer than two.
+    /// The words of the last lines that have a single word each, and the number of the first of
+    /// these lines. `None` if there are fewer than two such lines.
     fn single_names(&self) -> Option<(u64, String)> {
         let lines = self.lines.iter().rev().filter(|comment| has_words(&comment.text));
         let mut lines: Vec<_> =
@@ -569,8 +569,8 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     })
 }
 
-/// Whether a text is a list of names without a position, in which the column of x, or the vector
-/// before an unknown vector, has the name of another quantity.
+/// Whether a text is a list of names without a position that calls x by another quantity's name:
+/// either the column of x has such a name, or at least three such names precede an unknown vector.
 fn calls_x_otherwise(text: &str, fields: usize, first: Option<usize>) -> bool {
     names_in(text).filter(|names| are_names(names)).any(|names| {
         let names = bare_names(&names);
@@ -599,9 +599,9 @@ fn calls_x_otherwise(text: &str, fields: usize, first: Option<usize>) -> bool {
 /// Whether a text consists only of known names, and starts with other columns than the position. An
 /// identifier before the position is allowed if the position starts at the column `first`.
 ///
-/// Two names can be a title, such as `Material positions`, unless both are vectors. They must fit
-/// all `fields` then, as names without a position must. So must names with a position of a single
-/// letter, such as `m r`.
+/// Two names can be a title, such as `Material positions`, so they must account for all `fields`
+/// unless both are vectors. Names without a position, and names whose position is a single letter,
+/// such as `m r`, must also account for all `fields`.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
@@ -645,7 +645,7 @@ fn mentions_in_names(
             return Some(Mention::Unordered);
         }
         let mention = Mention::of(&TableColumns::of(names)?.position.columns);
-        // A row number has no name in some files, and the last columns have none in others, or
+        // In some files, the row number has no name. In others, the last columns have no names, or
         // names with blanks. All other columns must have names.
         let names_first =
             first.is_some_and(|first| first + count < fields) || first == Some(0) && count > fields;
@@ -685,8 +685,8 @@ fn mention_in_sentence(text: &str) -> Option<Mention> {
     if !(0..3).all(is_named) || words[first..last].iter().any(is_other) || is_about_values() {
         return None;
     }
-    // In a sentence, columns are listed after words such as `of` or `in`, unless `and` indicates
-    // that the sentence lists other columns before.
+    // In a sentence, columns are listed after words such as `of` or `in`, unless an earlier `and`
+    // indicates that the list of columns begins before these words.
     let before = &words[..first];
     let start = match before.iter().rposition(|word| is_word_of(&PROSE, word)) {
         Some(at) if !before.iter().any(|word| word.eq_ignore_ascii_case("and")) => at + 1,

@@ -72,9 +72,9 @@ struct LinesAbove<'a> {
 }
 
 impl TableColumns {
-    /// Returns the columns with these names, or `None` if the names give no unique position.
-    /// Attributes with equal names get the numbers of their columns as suffixes: `a_column4` and
-    /// `a_column7`.
+    /// Returns the columns with these names, or `None` if the names do not determine a unique
+    /// position. Attributes with equal names get the numbers of their columns as suffixes:
+    /// `a_column4` and `a_column7`.
     pub fn of(mut names: Vec<String>) -> Option<Self> {
         let mut found = quantities(&names);
         if found.is_none() {
@@ -282,7 +282,7 @@ impl<'a> LinesAbove<'a> {
     }
 }
 
-/// The first columns that fit a row, with its notation.
+/// The first of `columns` that fit a row, and the notation of the row.
 fn fitting(
     mut columns: impl Iterator<Item = TableColumns>,
     row: &[u8],

@@ -15,9 +15,10 @@ const SAMPLED_ROWS: usize = 256;
 const SAMPLED_COLUMNS: usize = 16;
 /// Number of rows in which coordinates rarely have a pattern by accident.
 const MANY_ROWS: usize = 16;
-/// Number of rows that must be the same to be words instead of a title.
+/// Number of lines that must have the same layout so that a line that starts with words is a row,
+/// not a title.
 const ROWS_OF_WORDS: usize = 32;
-/// Number of columns of a position and a vector, such as a velocity.
+/// Number of columns that a position and a vector, such as a velocity, have together.
 const POSITION_AND_VECTOR: usize = 6;
 
 /// The layout of a row in a table without column names.
@@ -124,8 +125,8 @@ impl UnnamedColumns {
         if self.first > 0 || self.fields < 4 || !sample.columns[0].is_unsigned() {
             return Some(self.first);
         }
-        // The first column has atomic numbers or counts the rows. In other cases, it is x, as in
-        // sorted rows.
+        // The first column is skipped if it has atomic numbers or counts the rows. In other cases,
+        // it is x, as in sorted rows.
         let is_skipped = sample.starts_with_elements() || sample.starts_with_row_numbers();
         (1..4).all(|column| sample.columns[column].has_reals()).then_some(usize::from(is_skipped))
     }
@@ -170,7 +171,8 @@ enum Leading {
     Unclear(Vec<usize>),
 }
 
-/// Numbers in the first rows. The columns start with [`UnnamedColumns::first`].
+/// The numeric values in the first rows of the table. The columns start with
+/// [`UnnamedColumns::first`].
 #[derive(Debug)]
 struct Sample {
     columns: Vec<SampledColumn>,
@@ -182,7 +184,8 @@ struct Sample {
 struct SampledColumn {
     /// The numbers. NaN for a field without a number.
     values: Vec<f64>,
-    /// For each field, a number that is the same for equal fields. Exact for all integers.
+    /// For each field, a number that is the same for equal fields. Different integers without a
+    /// sign have different numbers.
     keys: Vec<u64>,
     /// Number of fields that are numbers.
     numbers: usize,
@@ -365,7 +368,8 @@ impl Sample {
             && !(has_identifier && (count == 2 || has_repeating()))
     }
 
-    /// Whether one of the first three columns is an identifier, and the others are unlike it.
+    /// Whether `column`, one of the first three columns, contains identifiers instead of
+    /// coordinates.
     fn is_identifier_instead_of_coordinate(&self, column: usize) -> bool {
         if self.rows < 3 || !self.is_identifier(column) {
             return false;

@@ -111,8 +111,10 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
     all
 }
 
-/// For each property whose name differs from the name of its attribute, the name without the
-/// difference and the name in the file. The velocity and the first colour have the names of USD.
+/// For each property that the file does not store under its expected name, the expected name and
+/// the name in the file. The expected name is the attribute's name, followed by the number of the
+/// component if components are stored separately. The velocity and the first colour are left out,
+/// because they have the names of USD.
 pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 2]> {
     let colour = colour_attribute(attributes);
     let differs = |UsdProperty { name, values, .. }: UsdProperty| {
@@ -130,7 +132,8 @@ pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 
     properties(has_normals, attributes).into_iter().filter_map(differs).collect()
 }
 
-/// Number of passes that the writer makes over the vertices of a mesh, plus one over its triangles.
+/// Number of passes that the writer makes over the vertices of a mesh, plus one pass over its
+/// triangles.
 pub fn readings(has_normals: bool, attributes: &[AttributeInfo]) -> usize {
     // The counts of corners and the extent need no pass.
     properties(has_normals, attributes).len() - 2

@@ -87,7 +87,7 @@ impl Manifest {
 }
 
 /// The reason why programs could not find the layers next to a stage at this path. `None` if they
-/// can.
+/// could.
 ///
 /// When OpenUSD looks for layers, it takes each backslash in the path of the stage for a separator,
 /// even on Linux. It also rejects control characters in the paths of layers. The names of layers

@@ -1,9 +1,8 @@
 //! The tree of a grid. A node below the root has up to 32^3 children, each child has up to 16^3
 //! leaves, and a leaf has 8^3 voxels.
 //!
-//! In place of a missing child, a node has a tile, which says whether the voxels there are inside
-//! or outside. The surface never runs between a tile and its neighbour, so both are on the same
-//! side.
+//! In place of a missing child, a node has a tile, which says whether its voxels are inside or
+//! outside. The surface never runs between a tile and its neighbour, so both are on the same side.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -40,7 +39,7 @@ impl TreeLeaf {
 
     /// The least and the greatest coordinates of the active voxels along each axis.
     pub fn bounds(&self) -> Option<[IVec3; 2]> {
-        // The active voxels, seen along x as 8² bits, and then along y as 8 bits.
+        // The active voxels, projected along x onto 8² bits, and then along y onto 8 bits.
         let yz = self.active.into_iter().fold(0, |all, word| all | word);
         let z = yz.to_le_bytes().into_iter().fold(0, |all, byte| all | byte);
         let low_x = self.active.iter().position(|&word| word != 0)?;
@@ -108,7 +107,7 @@ pub fn sort_key(corner: IVec3) -> [[i32; 3]; 3] {
         .map(|edge| corner.div_euclid(IVec3::splat(edge)).to_array())
 }
 
-/// Makes the nodes above `children`, which must be in tree order and `edge` voxels wide.
+/// Builds the nodes above `children`, which must be in tree order and `edge` voxels wide.
 fn above(children: Vec<InnerNode>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Vec<InnerNode> {
     let parent = |child: &InnerNode| child.corner.div_euclid(IVec3::splat(edge << log2));
     let groups: Vec<&[InnerNode]> = children.chunk_by(|a, b| parent(a) == parent(b)).collect();

@@ -8,8 +8,8 @@ use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
 
-/// Maximum number of components of an array without values, whose number of components the size of
-/// the file does not limit. A tensor has 9 components.
+/// Maximum number of components of an array without values. The size of the file does not limit
+/// this number, because the array takes no bytes. A tensor has 9 components.
 const MOST_OF_NOTHING: usize = 9;
 
 /// The sections of a file that the reader uses.

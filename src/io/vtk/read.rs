@@ -43,8 +43,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// Every numeric array in `POINT_DATA` becomes an attribute. Percent codes in its name are decoded.
 /// Arrays in `CELL_DATA` become attributes if cell i is a vertex at point i, and if there is one
 /// cell per point. Strings, bits and colours are skipped. If cell data flags vertex cells as copies
-/// or hidden, a point is left out if all of its vertex cells are flagged. A field of the
-/// file with one of the names [`TIMES`](crate::io::names::TIMES) gives the time.
+/// or hidden, a point is left out if all of its vertex cells are flagged. A field of the file with
+/// one of the names [`TIMES`](crate::io::names::TIMES) gives the time.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (or
@@ -93,8 +93,8 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(false)
 }
 
-/// Counts the cells. The first counts are those of cells without a type. Each of the others counts
-/// the cells in a part of the array of types. The caller adds them up.
+/// Counts the cells. The first item counts the cells without a type. Each further item counts the
+/// cells in a part of the array of types. The caller adds up the items.
 fn cell_counts<'a>(
     bytes: ByteView<'a>,
     layout: &'a VtkLayout,

@@ -215,7 +215,8 @@ impl<'a> Decoder<'a> {
         read.map(|_| ())
     }
 
-    /// Whether `holds` returns true for a number of an integer array. Decodes no further numbers.
+    /// Whether `holds` returns true for a number of an integer array. Stops decoding at the first
+    /// such number.
     pub fn any_integer(
         &mut self,
         array: &VtpArray,
@@ -520,8 +521,8 @@ impl StoredArray<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Returns an error if 4 bytes are left in the element of an array with a length of 4 bytes.
-    /// Some programs write lengths of 8 bytes without declaring them.
+    /// Returns an error if 4 bytes are left in the element of an array whose length takes 4 bytes
+    /// according to the file. Some programs write lengths of 8 bytes without declaring them.
     fn expect_end(&self, stream: &mut dyn Read) -> Result<(), ReadFault> {
         let DataLocation::Base64(ref text) = self.array.data else { return Ok(()) };
         if self.layout.header != Scalar::U32

@@ -1,9 +1,9 @@
 //! VTK's XML: .vtp (PolyData: particles or a mesh) and .vtu (UnstructuredGrid: particles), with the
 //! numbers in the XML or after it.
 //!
-//! The XML gives each array's name, type and location: as text, in base64, or after
-//! `<AppendedData>` and an underscore, raw or in base64. Data other than text may be compressed,
-//! block by block. Meshes are written raw.
+//! The XML contains each array's name, type and location. The numbers are in the XML as text or
+//! base64, or after `<AppendedData>` and an underscore as raw bytes or base64. Data other than text
+//! may be compressed, block by block. Meshes are written raw.
 
 pub(super) mod arrays;
 mod data;

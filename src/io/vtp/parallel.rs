@@ -62,8 +62,8 @@ fn open_piece(path: &Path, unpacking: Unpacking) -> Result<ParticleFile, ReadErr
     file.map(ParticleFile::without_ghosts).map_err(|fault| ReadError::new(path, fault))
 }
 
-/// The blocks that the list at `path` and its nested lists name, and the format of the list.
-/// `None` for a list of pieces.
+/// The blocks in the list at `path` and in its nested lists, and the format of the list. `None` for
+/// a list of pieces.
 ///
 /// # Errors
 /// [`ReadError`] if a list cannot be read.
@@ -174,7 +174,7 @@ impl JoinedMesh {
     }
 }
 
-/// The files that a list and its nested lists name.
+/// The files in a list and in its nested lists.
 struct ListedFiles {
     files: Vec<FrameBlock>,
     format: &'static str,
@@ -194,7 +194,7 @@ impl ListedFiles {
     }
 
     /// Adds the files of a list and its nested lists. Blocks without a name get the name `outer` of
-    /// the block that names the list. Returns the format of the list.
+    /// the block that refers to the list. Returns the format of the list.
     fn add(
         &mut self,
         path: &Path,

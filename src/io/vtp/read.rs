@@ -135,7 +135,7 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     Ok(contents(bytes)? != PieceContents::Particles)
 }
 
-/// The contents of a file, as far as meshes and particles differ.
+/// The contents of a file, as far as they distinguish a mesh from particles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum PieceContents {
     /// A cell with an area or a volume.
@@ -256,7 +256,8 @@ fn is_cell_data(array: &&VtpArray) -> bool {
 }
 
 /// Finds the attributes that all pieces with points have, in the order of the first piece. Pieces
-/// may lack an array that flags ghosts. Cell data gives attributes if `cells_are_points`.
+/// may lack an array that flags ghosts. If `cells_are_points`, arrays of cell data are also
+/// attributes.
 fn attributes(pieces: &[VtpPiece], cells_are_points: bool) -> Attributes<'_> {
     let filled: Vec<&VtpPiece> = pieces.iter().filter(|piece| piece.points > 0).collect();
     let mut all = Attributes { shared: Vec::new(), left_out: Vec::new() };
@@ -326,8 +327,8 @@ fn vertices(
     arrays.extend(attributes.iter().map(|&array| {
         let mut parts = Vec::new();
         for piece in &filled {
-            // A single piece may have several arrays with the same name, so arrays are not searched
-            // by name.
+            // A single piece may have several arrays with the same name, so its arrays are not
+            // searched by name.
             let own = if filled.len() == 1 { Some(array) } else { same(piece, array) };
             parts.push(PieceArray { points: piece.points, array: own });
         }

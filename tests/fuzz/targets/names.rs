@@ -1,4 +1,4 @@
-//! Fuzzes patterns of frame names, and the names made from them.
+//! Fuzzes patterns of frame names, and the names generated from them.
 
 use std::fs::{self, File};
 use std::path::Path;

@@ -176,8 +176,8 @@ fn open(bytes: &[u8]) {
     }
 }
 
-/// Makes the surface of a frame. The surface must be closed, oriented and manifold, unless there is
-/// an error.
+/// Computes the surface of a frame. The surface must be closed, oriented and manifold, unless there
+/// is an error.
 fn draw(bytes: &[u8]) {
     let path = folder::file("b.mnf", bytes);
     let request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());

@@ -25,7 +25,7 @@ const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", JITTER)];
 const CHOOSING: usize = 100;
 /// Radius of the balls whose volume is measured.
 const RADIUS: f64 = 5.0;
-/// Number of these balls.
+/// Number of balls whose volume is measured.
 const BALLS: usize = 8;
 
 /// The lattice with this number, which determines its rotation, position and jitter.

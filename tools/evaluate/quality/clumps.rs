@@ -232,7 +232,7 @@ fn chain_texts(mesh: &Mesh, gap: usize) -> [String; 2] {
     [0, 1].map(|n| format!("{:.2}", mean(of.iter().map(|figures| figures[n]))))
 }
 
-/// The approximate position of a drop, by the index of its size and its number.
+/// The approximate position of a drop, given the index of its size and the drop's number.
 fn drop_place(size: usize, number: usize) -> DVec3 {
     STEP * DVec3::new((number % DROPS) as f64, 1.0 + size as f64, (number / DROPS) as f64)
 }
@@ -267,7 +267,7 @@ fn drop_text(found: &[Component], size: usize) -> String {
     format!("{kept}; {least:.2}, {:.2}, {greatest:.2}", mean(volumes()))
 }
 
-/// The centre of an air bubble, by the index of its radius and its number.
+/// The centre of an air bubble, given the index of its radius and the bubble's number.
 fn air_place(radius: usize, ball: usize) -> DVec3 {
     DVec3::new(8.0 + 12.0 * ball as f64, 10.0, 8.0 + 12.0 * radius as f64)
         + place(BALLS * radius + ball)

@@ -21,8 +21,8 @@ use crate::{Options, Outcome};
 
 /// The numbers of the frames of the repository's dam break.
 const DAM_BREAK: [&str; 3] = ["1", "10", "20"];
-/// Standard deviation of the Gaussian, in spacings. Wider features of the surface are not
-/// roughness.
+/// Standard deviation, in spacings, of the Gaussian that separates roughness from wider features of
+/// the surface.
 const SIGMA: f64 = 3.0;
 /// Edge, in spacings, of the square cells in which particles are examined for calm water.
 const EDGE: f64 = 2.0;

@@ -1,5 +1,5 @@
-//! Makes tables with a column for each method: each method makes meshes from the same particles,
-//! and the rows show measurements of the meshes.
+//! Prints tables with a column for each method. Each method meshes the same particles, and the rows
+//! show measurements of the meshes.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};

@@ -1,4 +1,4 @@
-//! The compared programs, which make surfaces from particle files.
+//! The compared programs, which compute surfaces from particle files.
 
 use std::fs;
 use std::path::Path;

@@ -43,21 +43,21 @@ const LINKS: usize = 20;
 /// The factors by which filaments are stretched.
 const STRETCHES: [f64; 3] = [1.4, 1.8, 2.1];
 const FILAMENT_JITTER: f64 = 0.1;
-/// Edge length of the box that contains the centres of the filaments.
+/// Edge length, in spacings, of the box that contains the centres of the filaments.
 const BOX: f64 = 60.0;
-/// Minimum distance between particles of different filaments.
+/// Minimum distance, in spacings, between particles of different filaments.
 const CLEARANCE: f64 = 7.0;
-/// Mean distances between the drops in a spray.
+/// Mean distances, in spacings, between the drops in a spray.
 const SPRAY: [f64; 2] = [3.0, 4.0];
 /// Number of drops in a spray.
 const DROPS: usize = 1200;
-/// Maximum distance between neighbours in a cluster.
+/// Maximum distance, in spacings, between neighbours in a cluster.
 const LINKAGE: f64 = 1.9;
 /// The numbers of layers of the sheets that are stretched frame by frame.
 const SLOW: [i32; 2] = [1, 2];
 /// Number of frames in which the sheets of [`SLOW`] are stretched.
 const FRAMES: usize = 30;
-/// The stretch of these sheets in the last frame.
+/// The stretch of the sheets of [`SLOW`] in the last frame.
 const LAST: f64 = 2.4;
 
 /// The cell sizes and the seeds of the random samples for the rows of a table.
@@ -77,7 +77,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     stretching(board, &samples, layers, frames)
 }
 
-/// A row about scenes of the same kind: how torn their surfaces are.
+/// Describes a table row that says how torn the surfaces of scenes of one kind are.
 fn torn(
     row: &str,
     cell: f64,

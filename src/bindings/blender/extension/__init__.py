@@ -1,4 +1,4 @@
-"""Live watertight surfaces of particle fluids, made by the library meniscus, which this extension contains."""
+"""Live watertight surfaces of particle fluids, computed by the library meniscus, which this extension contains."""
 
 import warnings
 

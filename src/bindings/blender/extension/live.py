@@ -1,6 +1,6 @@
-"""Surfaces that follow the scene: they are made again only if their frame, a setting or their input has changed.
+"""Surfaces that follow the scene: they are recomputed only if their frame, a setting or their input has changed.
 
-A mesh stores the name of the request that made it. If the mesh should show the result of
+A mesh stores the name of the request whose surface it shows. If it should show the surface of
 another request, the extension updates it. This also works after undo and in a reopened file,
 because Blender restores the name with the mesh.
 """
@@ -22,7 +22,7 @@ from .surfaces.request import Filters, FromFile, FromPoints, Maker, Request, Sam
 from .surfaces.sequence import Listings, Timing, shown_at
 from .surfaces.solids import Solids
 
-#: The mesh's custom property that stores the name of the request that made it.
+#: The mesh's custom property that stores the name of the request whose surface the mesh shows.
 MADE = "meniscus_made"
 MIB = 1 << 20
 
@@ -34,7 +34,7 @@ class Status:
     error: str = ""
     #: Notes about the current frame, such as a missing file.
     notes: tuple[str, ...] = ()
-    #: The library's warnings from when the surface was made.
+    #: The warnings that the library gave when it computed the surface.
     warnings: tuple[str, ...] = ()
     file: str = ""
     seconds: float = 0.0
@@ -163,7 +163,7 @@ def _request(
 
 
 def _arrays(request: Request, maker: Maker) -> Arrays:
-    """Returns the requested surface from the cache, or makes it."""
+    """Returns the requested surface from the cache, or computes it."""
     found = _state.cache.get(request.key)
     if found is None:
         found = maker.make(request)
@@ -182,7 +182,7 @@ def _velocity_scale(settings: bpy.types.PropertyGroup, scene: bpy.types.Scene) -
 
 
 def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
-    """Makes a mesh's surface again if its settings, its input or the scene's frame has changed."""
+    """Recomputes a mesh's surface if its settings, its input or the scene's frame has changed."""
     settings = mesh.meniscus
     if settings.source == "NONE" or not settings.live:
         return
@@ -248,7 +248,7 @@ def reread(mesh: bpy.types.Mesh) -> None:
 
 
 def _arrays_of(mesh: bpy.types.Mesh) -> Arrays | None:
-    """The surface that a mesh should show; None if it cannot be made."""
+    """The surface that a mesh should show; None if it cannot be computed."""
     scene, depsgraph = bpy.context.scene, bpy.context.evaluated_depsgraph_get()
     try:
         request = _request(mesh.meniscus, scene.frame_current, depsgraph, Status())
@@ -295,8 +295,8 @@ def _has_waited(mesh: bpy.types.Mesh) -> bool:
 
 @persistent
 def _before_frame(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
-    # Cycles evaluates subframes for motion blur. The mesh must not change there: its velocities
-    # provide the blur.
+    # Cycles evaluates subframes for motion blur. The mesh must not change at subframes, because
+    # Cycles computes the blur from its velocities.
     if scene.frame_subframe == 0.0:
         update_all(scene, None, lambda mesh: not _is_of_objects(mesh))
 

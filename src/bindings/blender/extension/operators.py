@@ -64,7 +64,7 @@ def add_files(context: bpy.types.Context, path: str) -> bpy.types.Object:
     name = re.sub(r"[ _.-]*\{.*?\}", "", Path(inputs).name).split(".")[0] or "Surface"
     added = _add(context, name)
     settings = added.data.meniscus
-    # Make no surface until all settings are set.
+    # Compute no surface until all settings are set.
     settings.live = False
     settings.source, settings.path = "FILES", inputs
     settings.start = context.scene.frame_start
@@ -91,7 +91,7 @@ def add_object(context: bpy.types.Context, source: bpy.types.Object) -> bpy.type
 
 
 def _done(operator: bpy.types.Operator, added: bpy.types.Object) -> Done:
-    """Ends an operator that has added a surface, and reports the error if the surface could not be made."""
+    """Ends an operator that has added a surface, and reports an error if the surface could not be computed."""
     error = live.status_of(added.data).error
     if error:
         operator.report({"WARNING"}, error)

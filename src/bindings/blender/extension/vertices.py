@@ -36,8 +36,8 @@ def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tu
         # Geometry nodes can make a point cloud from any object.
         geometry = evaluated.evaluated_geometry()
     except TypeError:
-        # The dependency graph of the other mode cannot help: a render does not update that graph to
-        # the rendered frame.
+        # Do not fall back on the dependency graph of the other mode (viewport or render): during a
+        # render, Blender does not update it to the rendered frame.
         where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
         what = f"{source.name} is hidden {where}, so Blender does not compute its vertices: show it (vertices without faces are not drawn)"
         raise Hidden(what) from None

@@ -1,4 +1,4 @@
-"""Makes the extension's modules that need no Blender importable, and a sequence of small frames."""
+"""Makes the extension's modules without Blender importable, and writes a sequence of frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Surfaces are made again only if one of their inputs or settings has changed."""
+"""Surfaces are recomputed only if one of their inputs or settings has changed."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_packed_frames_take_no_settings_of_sampling(sequence: Path) -> None:
     assert len(made.triangles) > 0 and made.spacing == 1.0
     other = FromFile(str(packed), Sampling(spacing=7.0, cell=0.3))
     assert other.key == request_of(packed).source.key
-    # These settings are also those of a conversion.
+    # A conversion uses the same settings.
     assert other.asked == Sampling() and request_of(sequence / "ball_002.npy").source.asked.spacing == 1.0
 
 

@@ -148,7 +148,8 @@ enum MeniscusEventKind
  {
   // An event that is newer than this header.
   MENISCUS_EVENT_KIND_OTHER = 0,
-  // Waiting for the first frame, or for a frame on which all frames can be calibrated.
+  // Waiting for the first frame, or for a frame that is suitable for measuring the calibration
+  // of all frames.
   MENISCUS_EVENT_KIND_WAITING = 1,
   // The spacing may be wrong.
   MENISCUS_EVENT_KIND_SPACING_WARNING = 2,
@@ -158,7 +159,7 @@ enum MeniscusEventKind
   MENISCUS_EVENT_KIND_RESUMED = 4,
   // The calibration that all frames share was measured.
   MENISCUS_EVENT_KIND_MEASURED = 5,
-  // The conversion of frames starts, and their number is known.
+  // The conversion of frames starts; the number of frames is known.
   MENISCUS_EVENT_KIND_STARTED = 6,
   // A new frame appeared.
   MENISCUS_EVENT_KIND_FRAME_APPEARED = 7,
@@ -186,7 +187,7 @@ typedef int32_t MeniscusEventKind;
 // reused. The handle may be freed while calls use it.
 typedef struct MeniscusCancel MeniscusCancel;
 
-// A sampled frame, from which surfaces with different filters can be made. It must be freed by
+// A sampled frame, from which surfaces with different filters can be computed. It must be freed by
 // meniscus_frame_free.
 //
 // Several threads may use a frame at the same time, as long as none frees it.
@@ -214,22 +215,22 @@ typedef struct MeniscusOptions MeniscusOptions;
 // meniscus_simulation_free.
 //
 // Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
-// the filters, and kept for all later frames. A simulation makes one frame at a time.
+// the filters, and kept for all later frames. A simulation processes one frame at a time.
 typedef struct MeniscusSimulation MeniscusSimulation;
 
 // The result of a conversion. The caller sets `size`, and the library sets the other fields.
 typedef struct MeniscusSummary {
   // sizeof(MeniscusSummary).
   size_t size;
-  // Number of frames that were made.
+  // Number of frames that were converted.
   uint64_t made;
   // Number of frames that failed.
   uint64_t failed;
   // Number of frames that are missing between existing frames.
   uint64_t missing;
-  // Number of particles in the frames that were made.
+  // Number of particles in the frames that were converted.
   uint64_t particles;
-  // Lower bound of the number of particles that are missing from the surfaces.
+  // Lower bound on the number of particles that are missing from the surfaces.
   uint64_t lost;
   // Duration, in seconds, of the conversion.
   double seconds;
@@ -241,8 +242,8 @@ typedef struct MeniscusAttribute {
   // sizeof(MeniscusAttribute).
   size_t size;
   // The name of the attribute, as used in the option "attributes" and on the vertices. By
-  // default, the vertices get the attribute "velocity" if it has three components. Other usual
-  // names of the velocity, such as "v" or "vel", also count.
+  // default, the vertices get only the attribute "velocity", if it has three components. Other
+  // common names of the velocity, such as "v" or "vel", are also recognised.
   const char *name;
   // The first number of the first particle; need not be aligned.
   const void *values;
@@ -348,7 +349,7 @@ typedef struct MeniscusReport {
   uint64_t too_far;
   // Number of particles that were left out because they are outside the domain.
   uint64_t outside;
-  // Lower bound of the number of particles that are missing from the surface.
+  // Lower bound on the number of particles that are missing from the surface.
   uint64_t lost;
   // Number of components that the option "smallest-component" removed.
   uint64_t small_components;
@@ -474,11 +475,12 @@ void meniscus_cancel_free(struct MeniscusCancel *cancel);
 // Converts the files of a simulation to mesh files, as the program does: several frames in
 // parallel, all with the same calibration. Each file appears completely or not at all.
 //
-// `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
-// files of `input_count` frames; or, with the option "together", inputs whose frames with the same
-// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc file
-// for all frames. `options`: the settings and the selected frames, or NULL for all defaults. The
-// progress function of the options is not called. `summary`: NULL, or the structure to fill.
+// `inputs`: one name with {} in place of the frame number, a folder, a glob or a file with several
+// steps; or the files of `input_count` frames; or, with the option "together", inputs whose frames
+// with the same number are joined. `output`: a name with {} or {:04} in place of the frame number,
+// a folder, or one .abc file for all frames. `options`: the settings and the selected frames, or
+// NULL for all defaults. The progress function of the options is not called. `summary`: NULL, or
+// the structure to fill.
 //
 // Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing. The message then describes
 // the first of them, and all other frames are finished.
@@ -535,7 +537,7 @@ MeniscusStatus meniscus_sample_file(const char *path,
                                     const struct MeniscusOptions *options,
                                     struct MeniscusFrame **frame);
 
-// Makes a surface from a frame.
+// Computes a surface from a sampled frame.
 //
 // `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
 // the options can change all settings from smoothing to simplifying. Settings that affect the
@@ -732,7 +734,7 @@ size_t meniscus_mesh_warning_count(const struct MeniscusMesh *mesh);
 // `mesh` must be NULL or a handle that has not been freed.
 const char *meniscus_mesh_warning(const struct MeniscusMesh *mesh, size_t index);
 
-// Reports how the mesh was made.
+// Reports how the mesh was reconstructed.
 //
 // `mesh` must be NULL or a handle that has not been freed; `report` must be NULL or point to a
 // structure whose first field holds its size.
@@ -749,7 +751,8 @@ MeniscusStatus meniscus_mesh_check(const struct MeniscusMesh *mesh, struct Menis
 // at all, and contains the same bytes as a file that the program writes.
 //
 // `overwrite`: nonzero to replace an existing file. `bytes`: NULL, or receives the file's size in
-// bytes. The options with which the mesh was made select the up axis and the compression.
+// bytes. The up axis and the compression are those of the options with which the mesh was
+// reconstructed.
 //
 // Pointers must be NULL or valid as described.
 MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
@@ -757,9 +760,9 @@ MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
                                    int32_t overwrite,
                                    uint64_t *bytes);
 
-// Copies the warnings about storing the mesh in the format that the extension of `path` implies
-// into the caller's buffer, one per line. The text ends with a NUL, and is truncated if the buffer
-// is too small.
+// Copies the warnings about a mesh file with the name `path` into the caller's buffer, one per
+// line. The extension of `path` selects the format, and the function writes no file. The text ends
+// with a NUL, and is truncated if the buffer is too small.
 //
 // `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length, in bytes,
 // of the whole text without the NUL; 0 if there are no warnings.

@@ -325,7 +325,7 @@ inline Mesh reconstruct(const std::string &path, const Options &options = {}) {
   return Mesh(mesh);
 }
 
-// A frame that is sampled once, so that several surfaces can be made from it.
+// A frame that is sampled once, so that several surfaces can be computed from it.
 class Frame {
  public:
   explicit Frame(const Particles &particles, const Options &options = {}) {
@@ -338,13 +338,13 @@ class Frame {
     take(asked, [&](MeniscusFrame **frame) { return meniscus_sample_file(path.c_str(), asked.c(), frame); });
   }
 
-  // Makes the surface with the options of the sampling.
+  // Computes the surface with the options that were given for sampling.
   Mesh surface() const {
     MeniscusMesh *mesh = nullptr;
     check(meniscus_frame_surface(handle_.get(), nullptr, &mesh));
     return Mesh(mesh);
   }
-  // Makes a surface with different options.
+  // Computes a surface with other options.
   Mesh surface(const Options &options) const {
     detail::Asked asked(options);
     MeniscusMesh *mesh = nullptr;

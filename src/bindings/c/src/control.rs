@@ -128,7 +128,7 @@ pub struct Listener {
 struct CallbackSlot(ReentrantMutex<Cell<Option<Listener>>>);
 
 // SAFETY: the lock lets only one thread at a time use `*user`, and the documentation of
-// `MeniscusProgressCallback` says that it may be any thread.
+// `MeniscusProgressCallback` says that threads of the library call the callback.
 unsafe impl Send for CallbackSlot {}
 // SAFETY: for the same reason as `Send`.
 unsafe impl Sync for CallbackSlot {}
@@ -169,7 +169,7 @@ impl Control {
         &self.cancel
     }
 
-    /// Adds the callback and the handle to a request.
+    /// Adds the callback and the cancel handle to a request.
     pub fn of(&self, request: Reconstruction) -> Reconstruction {
         let request = request.cancel(self.cancel.clone());
         if self.listener.is_none() {

@@ -17,7 +17,8 @@ use crate::text::{path, pointers};
 pub enum MeniscusEventKind {
     /// An event that is newer than this header.
     Other = 0,
-    /// Waiting for the first frame, or for a frame on which all frames can be calibrated.
+    /// Waiting for the first frame, or for a frame that is suitable for measuring the calibration
+    /// of all frames.
     Waiting = 1,
     /// The spacing may be wrong.
     SpacingWarning = 2,
@@ -27,7 +28,7 @@ pub enum MeniscusEventKind {
     Resumed = 4,
     /// The calibration that all frames share was measured.
     Measured = 5,
-    /// The conversion of frames starts, and their number is known.
+    /// The conversion of frames starts; the number of frames is known.
     Started = 6,
     /// A new frame appeared.
     FrameAppeared = 7,
@@ -90,15 +91,15 @@ pub struct EventListener {
 pub struct MeniscusSummary {
     /// sizeof(MeniscusSummary).
     pub size: usize,
-    /// Number of frames that were made.
+    /// Number of frames that were converted.
     pub made: u64,
     /// Number of frames that failed.
     pub failed: u64,
     /// Number of frames that are missing between existing frames.
     pub missing: u64,
-    /// Number of particles in the frames that were made.
+    /// Number of particles in the frames that were converted.
     pub particles: u64,
-    /// Lower bound of the number of particles that are missing from the surfaces.
+    /// Lower bound on the number of particles that are missing from the surfaces.
     pub lost: u64,
     /// Duration, in seconds, of the conversion.
     pub seconds: f64,
@@ -199,11 +200,12 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
 /// Converts the files of a simulation to mesh files, as the program does: several frames in
 /// parallel, all with the same calibration. Each file appears completely or not at all.
 ///
-/// `inputs`: one name with {} for the number, a folder, a glob or a file with several steps; or the
-/// files of `input_count` frames; or, with the option "together", inputs whose frames with the same
-/// number are joined. `output`: a name with {} or {:04} for the number, a folder, or one .abc file
-/// for all frames. `options`: the settings and the selected frames, or NULL for all defaults. The
-/// progress function of the options is not called. `summary`: NULL, or the structure to fill.
+/// `inputs`: one name with {} in place of the frame number, a folder, a glob or a file with several
+/// steps; or the files of `input_count` frames; or, with the option "together", inputs whose frames
+/// with the same number are joined. `output`: a name with {} or {:04} in place of the frame number,
+/// a folder, or one .abc file for all frames. `options`: the settings and the selected frames, or
+/// NULL for all defaults. The progress function of the options is not called. `summary`: NULL, or
+/// the structure to fill.
 ///
 /// Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing. The message then describes
 /// the first of them, and all other frames are finished.

@@ -13,7 +13,7 @@ use crate::particles::{CallerParticles, MeniscusParticles};
 use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
 use crate::text::{path, put};
 
-/// A sampled frame, from which surfaces with different filters can be made. It must be freed by
+/// A sampled frame, from which surfaces with different filters can be computed. It must be freed by
 /// meniscus_frame_free.
 ///
 /// Several threads may use a frame at the same time, as long as none frees it.
@@ -177,7 +177,7 @@ unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
     unsafe { frame.as_ref() }.ok_or_else(|| Failure::request("frame is NULL"))
 }
 
-/// Makes a surface from a frame.
+/// Computes a surface from a sampled frame.
 ///
 /// `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
 /// the options can change all settings from smoothing to simplifying. Settings that affect the

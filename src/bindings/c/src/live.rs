@@ -14,7 +14,7 @@ use crate::status::{Failure, MeniscusStatus, ask};
 /// meniscus_simulation_free.
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
-/// the filters, and kept for all later frames. A simulation makes one frame at a time.
+/// the filters, and kept for all later frames. A simulation processes one frame at a time.
 pub struct MeniscusSimulation {
     live: Mutex<LiveSimulation>,
     control: Control,

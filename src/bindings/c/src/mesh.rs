@@ -120,7 +120,8 @@ impl MeniscusMesh {
     }
 
     /// Copies the mesh's values into the buffer `out`, which must have room for `needed` values.
-    /// `each` passes the values of one piece to its second argument.
+    /// `each` is called with the number of each piece, and passes the piece's values to its second
+    /// argument.
     ///
     /// # Safety
     /// The requirements of [`buffer`].
@@ -517,7 +518,7 @@ pub unsafe extern "C" fn meniscus_mesh_warning(
     }
 }
 
-/// Reports how the mesh was made.
+/// Reports how the mesh was reconstructed.
 ///
 /// `mesh` must be NULL or a handle that has not been freed; `report` must be NULL or point to a
 /// structure whose first field holds its size.
@@ -558,7 +559,8 @@ pub unsafe extern "C" fn meniscus_mesh_check(
 /// at all, and contains the same bytes as a file that the program writes.
 ///
 /// `overwrite`: nonzero to replace an existing file. `bytes`: NULL, or receives the file's size in
-/// bytes. The options with which the mesh was made select the up axis and the compression.
+/// bytes. The up axis and the compression are those of the options with which the mesh was
+/// reconstructed.
 ///
 /// Pointers must be NULL or valid as described.
 #[unsafe(no_mangle)]
@@ -581,9 +583,9 @@ pub unsafe extern "C" fn meniscus_mesh_write(
     })
 }
 
-/// Copies the warnings about storing the mesh in the format that the extension of `path` implies
-/// into the caller's buffer, one per line. The text ends with a NUL, and is truncated if the buffer
-/// is too small.
+/// Copies the warnings about a mesh file with the name `path` into the caller's buffer, one per
+/// line. The extension of `path` selects the format, and the function writes no file. The text ends
+/// with a NUL, and is truncated if the buffer is too small.
 ///
 /// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length, in bytes,
 /// of the whole text without the NUL; 0 if there are no warnings.

@@ -247,8 +247,8 @@ pub struct RequestParts {
 }
 
 impl RequestParts {
-    /// Reads the options of a call that makes one frame at a time. Options that only conversions
-    /// have give an error.
+    /// Reads the options of a call that makes one frame at a time. Options that apply only to
+    /// conversions cause an error.
     ///
     /// # Safety
     /// `options` must be NULL or a handle that has not been freed.

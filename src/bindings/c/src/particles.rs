@@ -45,8 +45,8 @@ pub struct MeniscusAttribute {
     /// sizeof(MeniscusAttribute).
     pub size: usize,
     /// The name of the attribute, as used in the option "attributes" and on the vertices. By
-    /// default, the vertices get the attribute "velocity" if it has three components. Other usual
-    /// names of the velocity, such as "v" or "vel", also count.
+    /// default, the vertices get only the attribute "velocity", if it has three components. Other
+    /// common names of the velocity, such as "v" or "vel", are also recognised.
     pub name: *const c_char,
     /// The first number of the first particle; need not be aligned.
     pub values: *const std::ffi::c_void,
@@ -103,7 +103,7 @@ unsafe impl Growing for MeniscusParticles {
     const NAME: &str = "MeniscusParticles";
 }
 
-/// Maximum number of components, more than any simulator writes.
+/// Maximum number of components of an attribute, more than any simulator writes.
 const MOST_COMPONENTS: u32 = 1 << 16;
 
 /// Maximum number of attributes; a larger number is probably a mistake of the caller.
@@ -191,8 +191,8 @@ impl MeniscusType {
         matches!(self, Self::I32 | Self::U32)
     }
 
-    /// The kind of an attribute with this type of numbers. The same rule applies to attributes in
-    /// files.
+    /// The kind of an attribute whose numbers have this type. The same rule applies to attributes
+    /// in files.
     fn meaning(self, info: &AttributeInfo) -> AttributeKind {
         match self {
             Self::F32 | Self::F64 => info.kind,

@@ -1,6 +1,6 @@
 //! Structures whose first field is their size, so that later versions can add fields. A caller that
-//! was compiled with an older header passes a smaller structure, and a caller with a newer header a
-//! larger one.
+//! was compiled with an older header passes a smaller structure; a caller that was compiled with a
+//! newer header passes a larger one.
 
 use crate::status::{Failure, Outcome};
 

@@ -13,8 +13,8 @@ static bool more_to_pick(void) {
   return said < said_end;
 }
 
-/// A number below `among`, from the next bytes. After the last byte it is always `among - 1`, which
-/// never selects a rare case.
+/// A number below `among`, made from the fuzzer's next bytes. When all bytes are used up, it is
+/// always `among - 1`, which never selects a rare case.
 static uint32_t pick(uint32_t among) {
   uint32_t number = 0;
   for (uint32_t most = among - 1; among > 0 && most > 0; most >>= 8) {
@@ -66,7 +66,8 @@ enum { MOST = 200 };
 static const double EXTENT = 0.4;
 #endif
 
-// A block exactly as large as the structures say, so that valgrind detects reads beyond its end.
+// The particles' data, in a block that is exactly as large as the structures say, so that valgrind
+// detects reads beyond its end.
 static unsigned char *memory;
 static MeniscusAttribute attributes[3];
 static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "a very long name of an attribute, as nobody has", NULL};
@@ -102,7 +103,8 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   if (count > 0 && rarely(8)) {
     particles->positions = at, particles->stride = (ptrdiff_t)width, particles->component_stride = (ptrdiff_t)(count * width);
   }
-  // With the smaller structure of an older caller, the library takes the strides as 0.
+  // If the caller passes the smaller structure of an older header, the library assumes strides of
+  // 0.
   if (particles->size != sizeof *particles) {
     particles->positions = at, particles->stride = particles->component_stride = 0;
   }
@@ -214,7 +216,7 @@ static void set_anything(MeniscusOptions *options) {
   }
 }
 
-/// Options with valid and invalid values. The caller must free them.
+/// Options with valid and invalid values, which the caller must free.
 static MeniscusOptions *some_options(const char *folder) {
   MeniscusOptions *options = rarely(20) ? meniscus_options_copy(NULL) : meniscus_options_new();
   set_number(options, "spacing", rarely(2) ? 0.05 : rarely(8) ? number(0.05) : 0.05);

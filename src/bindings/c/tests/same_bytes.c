@@ -140,7 +140,7 @@ static int test(int count, char **arguments) {
   }
 
   // A packed frame must have the same bytes as the program's packed frame, and the mesh of the
-  // packed frame must have the same bytes too.
+  // packed frame must also have the same bytes.
   char packed[512];
   snprintf(packed, sizeof packed, "%s/library.mnf", folder);
   MeniscusFrame *frame;

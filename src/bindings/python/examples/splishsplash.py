@@ -1,4 +1,4 @@
-"""An exporter for pySPlisHSPlasH that makes a mesh of each frame while it runs: python splishsplash.py SCENE.json FOLDER
+"""An exporter for pySPlisHSPlasH that meshes each frame during the simulation: python splishsplash.py SCENE.json FOLDER
 
 This script needs pySPlisHSPlasH. On a machine without a screen, the wheel of pySPlisHSPlasH may
 need the system's libGLX in LD_PRELOAD.

@@ -2,8 +2,8 @@
 //! buffer protocol.
 //!
 //! This module reads without the interpreter's lock, so another thread may write to an array
-//! meanwhile. Therefore it never makes a Rust slice of an array, because the values of a slice must
-//! not change. Instead, it loads every number once, with a volatile read through a pointer. The
+//! meanwhile. The values behind a Rust slice must not change, so the module never makes a slice of
+//! an array. Instead, it loads every number once, with a volatile read through a pointer. The
 //! library detects and reports positions that differ between reads.
 
 use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
@@ -148,8 +148,8 @@ impl Numbers {
         Self { first, columns: 1, ..*self }
     }
 
-    /// The kind of an attribute with this type of numbers. The same rule applies to attributes in
-    /// files.
+    /// The kind of an attribute whose numbers have this type. The same rule applies to attributes
+    /// in files.
     pub fn meaning(&self, info: &AttributeInfo) -> AttributeKind {
         match self.kind {
             Kind::F32 | Kind::F64 => info.kind,

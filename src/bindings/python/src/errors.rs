@@ -92,7 +92,8 @@ fn file_of(error: &Error) -> Option<&Path> {
     }
 }
 
-/// Creates a ``FileError``, which Python also classifies by the system's error.
+/// Creates a ``FileError``, which is also an instance of Python's class for the system's error, if
+/// there is one.
 fn file_error(error: &Error, text: &str) -> PyErr {
     Python::attach(|py| {
         let made = || {

@@ -25,11 +25,11 @@ use crate::work::{Work, on_all_cores};
 ///     The attribute with the name ``velocity``, or with another usual name such as ``v``.
 /// attributes : dict from names to arrays of shape (N,) or (N, K)
 ///     All attributes, with their names in the file. Integers are int32 or uint32, or int64 if the
-///     file stores 64 bits; other numbers are float32.
+///     file stores 64-bit integers; other numbers are float32.
 /// spacing : float or None
 ///     Distance between neighbouring particles, from the file or from a scene file near it.
 /// time : float or None
-///     Time, in seconds, of the frame in the simulation, from the file.
+///     The frame's time in the simulation, in seconds, from the file.
 /// up : str
 ///     "y" or "z": the axis that usually points up in this format, for the keyword
 ///     ``particles_up``.

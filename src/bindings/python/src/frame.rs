@@ -1,5 +1,5 @@
-//! The Python class `Frame`: particles that are sampled once, and then give several surfaces or a
-//! packed frame.
+//! The Python class `Frame`: particles that are sampled once, for several surfaces or for a packed
+//! frame.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -27,12 +27,12 @@ const OF_FRAMES: &[KeywordGroup] = &[
     KeywordGroup::Attributes,
 ];
 
-/// A sampled frame: the samples of its cells, and other data that surfaces need. It no longer needs
-/// the particles.
+/// A sampled frame: the samples of its cells, and other data that surfaces need. The frame no
+/// longer needs the particles.
 ///
 /// ``Frame(positions, ...)`` samples the particles, and takes the keywords of ``reconstruct``.
-/// ``surface()`` makes a surface with the same or other settings, and can be called repeatedly. The
-/// frame has its own threads, and can be used only in the process that created it.
+/// ``surface()`` computes a surface with the same or other settings, and can be called repeatedly.
+/// The frame has its own threads, and can be used only in the process that created it.
 ///
 /// Raises
 /// ------
@@ -140,7 +140,7 @@ impl Frame {
     ///     ``type`` selects one of several types of particles in a file.
     ///
     /// Other keywords are those of ``reconstruct``. For a packed frame, keywords of the sampling
-    /// give an error.
+    /// cause an error.
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),
@@ -172,7 +172,7 @@ impl Frame {
         })
     }
 
-    /// Makes a surface with these keywords. All other settings keep the values from the
+    /// Computes a surface with these keywords. All other settings keep the values from the
     /// constructor.
     ///
     /// The keywords of ``reconstruct`` that do not need the particles are allowed. The surface uses
@@ -199,7 +199,8 @@ impl Frame {
         Mesh::new(py, surface, request)
     }
 
-    /// Computes the signed distance from the surface that ``surface`` makes with these keywords.
+    /// Computes the signed distance from the surface that ``surface`` would return for these
+    /// keywords.
     ///
     /// Returns
     /// -------
@@ -234,7 +235,7 @@ impl Frame {
         self.sampled.particles_up().to_string().to_lowercase()
     }
 
-    /// Packs the frame into a file from which this module or the program can make surfaces.
+    /// Packs the frame into a file from which this module or the program can compute surfaces.
     /// Attributes are not included.
     ///
     /// Parameters

@@ -29,8 +29,8 @@ pub struct Mesh {
     request: Reconstruction,
     arrays: PyOnceLock<Arrays>,
     measures: OnceLock<Measures>,
-    /// Must be the last field: Rust drops it after the other fields, whose memory it returns to the
-    /// system.
+    /// Must be the last field, because fields are dropped in order. When this field is dropped, it
+    /// returns the memory of the other fields to the system.
     _emptied: GiveBack,
 }
 
@@ -45,7 +45,8 @@ struct Arrays {
 }
 
 impl Mesh {
-    /// Creates a mesh from a surface and its request, and issues the surface's Python warnings.
+    /// Creates a mesh from a surface and its request, and issues the surface's warnings as Python
+    /// warnings.
     pub fn new(py: Python<'_>, surface: Surface, request: Reconstruction) -> PyResult<Self> {
         warn(py, surface.report().warnings.iter().map(ToString::to_string))?;
         Ok(Self {
@@ -148,7 +149,7 @@ impl Mesh {
     }
 
     /// Outward unit normals of the vertices: float32 of shape (V, 3), or None if the surface was
-    /// made without ``normals=True``.
+    /// reconstructed without ``normals=True``.
     #[getter]
     fn normals(&self, py: Python<'_>) -> PyResult<Option<Py<PyArray2<f32>>>> {
         Ok(self.arrays(py)?.normals.as_ref().map(|normals| normals.clone_ref(py)))

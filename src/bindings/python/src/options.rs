@@ -15,7 +15,7 @@ use crate::values::Keyword;
 pub enum KeywordGroup {
     /// Keywords for sampling the particles.
     Sampling,
-    /// Keywords for making a surface from sampled particles.
+    /// Keywords for computing a surface from sampled particles.
     Surface,
     /// Keywords for the backend, threads and memory.
     Machine,

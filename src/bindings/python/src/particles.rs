@@ -70,8 +70,8 @@ impl<'py> Arrays<'py> {
         }
     }
 
-    /// An attribute that is not in `names`, which are by default only the velocity. An attribute
-    /// "velocity" is the velocity only if it has three components.
+    /// The name of the first attribute that is not in `names`; `None` if all are. Without `names`,
+    /// only the velocity is expected: an attribute "velocity" with three components.
     pub fn beyond(&self, names: Option<&[String]>) -> Option<&str> {
         let is_known = |name: &String, held: &HeldArray<'_>| match names {
             Some(names) => names.contains(name),
@@ -81,8 +81,8 @@ impl<'py> Arrays<'py> {
         Some(name)
     }
 
-    /// The names of all attributes; `None` if there are none besides the velocity, which is the
-    /// default.
+    /// The names of all attributes; `None` if there is none besides the velocity, because the
+    /// library uses the velocity by default.
     pub fn named(&self) -> Option<Vec<String>> {
         self.beyond(None)?;
         Some(self.others.iter().map(|(name, _)| name.clone()).collect())

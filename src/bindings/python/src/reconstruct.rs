@@ -1,4 +1,4 @@
-//! `meniscus.reconstruct`: makes a mesh from a frame in memory, in one call.
+//! `meniscus.reconstruct`: reconstructs a mesh from a frame in memory, in one call.
 
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -33,8 +33,9 @@ use crate::work::{Work, with_progress};
 ///     is given.
 /// size : str, optional
 ///     Attribute with the particles' sizes, if the sizes differ; "pscale", "radius" and "spacing"
-///     are found without this keyword. The name says what the values are: radii, diameters,
-///     volumes, or masses, which need a density. "none" treats all particles as one size.
+///     are found without this keyword. The attribute's name says what its values are: radii,
+///     diameters, volumes, or masses, which need a density. "none" treats all particles as one
+///     size.
 /// cell, cell_size : float, optional
 ///     Edge length of a cell, in spacings (0.5 by default; use 0.25 for renders) or as a length.
 /// origin : three floats, optional

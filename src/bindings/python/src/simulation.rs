@@ -1,5 +1,5 @@
-//! The frames of a simulation: reconstructed from memory while it runs, or converted from files to
-//! files.
+//! The frames of a simulation: reconstructed from memory while the simulation runs, or converted
+//! from particle files to mesh files.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, TryLockError};

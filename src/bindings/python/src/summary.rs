@@ -119,7 +119,7 @@ impl Event {
 /// folder : pathlib.Path
 ///     The folder that contains the meshes.
 /// made, failed : int
-///     Number of frames that were made, and number of frames that failed.
+///     Number of frames that were converted, and number of frames that failed.
 /// failures : dict of int to str
 ///     The error of each failed frame.
 /// error : str or None
@@ -127,10 +127,10 @@ impl Event {
 /// missing : list of str
 ///     Frames that are missing between existing frames, one line for each gap.
 /// complete : bool
-///     Whether all frames were made: no frame failed or is missing, and no error stopped the
+///     Whether all frames were converted: no frame failed or is missing, and no error stopped the
 ///     conversion.
 /// lost : int
-///     Lower bound of the number of particles that are missing from the surfaces of all frames.
+///     Lower bound on the number of particles that are missing from the surfaces of all frames.
 /// seconds : float
 ///     Duration, in seconds, of the conversion.
 #[pyclass(frozen, get_all, module = "meniscus")]

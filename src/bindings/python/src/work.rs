@@ -136,8 +136,8 @@ impl Work<Progress> {
         }
         let sender = self.sender.clone();
         request.progress(move |progress| {
-            // Ignore failures: if the surface is written later, that reports progress without a
-            // receiver.
+            // Ignore failures: writing the surface later also reports progress, and by then nobody
+            // receives it.
             let _ = sender.send(Message::Event(progress));
         })
     }

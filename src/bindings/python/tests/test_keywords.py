@@ -95,7 +95,7 @@ def members(annotation: ast.expr) -> list[ast.expr]:
     return [annotation]
 
 
-# A value for each type of keyword in the stub, except types that list the allowed words.
+# A value for each type of keyword in the stub, except for types that list the allowed words.
 SAMPLES: dict[str, Any] = {
     "None": None,
     "bool": False,

@@ -143,7 +143,8 @@ def test_no_format_of_the_programs_is_left_out() -> None:
     known = set(re.findall(r"\.(\w+)", str(raised.value).split("abc", 1)[1])) - {"gz", "xz", "zst"}
     assert len(known) > 15
     tried = {Path(file.split("#")[0]).suffix[1:] for file in FILES} | set(WRITTEN) | {"xyz"}
-    # Extensions of files that contain the same data as another format, or that list its pieces.
+    # Extensions of files with the same data as another format, or of files that list a dataset's
+    # pieces.
     alike = {"bhclassic": "bgeo", "geo": "bgeo", "sc": "bgeo", "extxyz": "xyz", "h5md": "h5", "hdf": "hdf5", "lammpstrj": "dump", "vtm": "pvtp", "vtpc": "pvtp", "vtpd": "pvtp"}
     assert {alike.get(name, name) for name in known} == tried
 

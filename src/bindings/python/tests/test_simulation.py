@@ -26,7 +26,8 @@ def test_what_is_measured_once_is_kept_for_the_frames_that_follow(pool: Any) -> 
     assert not simulation.settled
     first = simulation.frame(pool)
     assert simulation.settled
-    # A single frame with twice the spacing would have twice the cell size; here the size must stay.
+    # A single frame with twice the spacing would have cells of twice the size. In the simulation,
+    # the size must not change.
     later = simulation.frame(2.0 * pool)
     assert later.report.cell_size == first.report.cell_size
     assert meniscus.reconstruct(2.0 * pool).report.cell_size > 1.5 * first.report.cell_size

@@ -38,7 +38,7 @@ def test_progress_is_reported_on_the_callers_thread_stage_by_stage(ball: Any) ->
 
 
 def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
-    # Measure CPU time, because other processes may load the machine.
+    # Measure CPU time, because other processes may slow down this one.
     begin = time.process_time()
     meniscus.reconstruct(**long)
     whole = time.process_time() - begin
@@ -126,7 +126,8 @@ def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception(
     calm = lattice(8.0)
     positions = calm.copy()
     over = threading.Event()
-    # Every 8th call holds this lock, so that it reads a calm array and returns a mesh.
+    # Every 8th call holds this lock, so that the array does not change while the call reads it, and
+    # the call returns a mesh.
     still = threading.Lock()
 
     def disturb() -> None:
@@ -178,14 +179,16 @@ def test_memory_is_given_back_after_each_call() -> None:
     command = [sys.executable, "-W", "ignore", "-c", RESIDENT, "5000", "60"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     before, after, _ = map(float, done.stdout.split())
-    # A leak of one mesh per call would grow by 0.7 MiB per call; 10 MiB allow for thread arenas.
+    # A leak of one mesh per call would add 0.7 MiB per call. The 10 MiB allow for the allocator's
+    # thread arenas.
     assert after < before + 10, f"{before} MiB grew to {after}"
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_a_child_that_is_forked_can_do_all_that_its_parent_did(ball: Any, tmp_path: Path) -> None:
-    # Without its own threads, a call in the child would wait for threads of the parent.
+    # If a call in the child did not start its own threads, it would wait for threads that exist
+    # only in the parent.
     mesh, csv = meniscus.reconstruct(ball), tmp_path / "in_1.csv"
     np.savetxt(csv, ball, delimiter=",", header="x,y,z", comments="")
     wall = tmp_path / "wall.ply"

@@ -1,4 +1,4 @@
-"""A cache with a memory limit, for values that take a long time to make."""
+"""A cache with a memory limit, for values that take a long time to compute."""
 
 from __future__ import annotations
 

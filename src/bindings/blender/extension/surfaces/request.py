@@ -1,4 +1,4 @@
-"""Requests for surfaces: their inputs and settings, from which the keys for the cache are made."""
+"""Requests for surfaces: their inputs and settings, from which the cache keys are computed."""
 
 from __future__ import annotations
 
@@ -124,14 +124,14 @@ class Request:
 
 
 class Maker:
-    """Makes surfaces. Keeps the last sampled frame, so that other filters need no new sampling."""
+    """Computes surfaces. Keeps the last sampled frame, so that other filters need no resampling."""
 
     def __init__(self) -> None:
         self._key: Hashable = None
         self._frame: meniscus.Frame | None = None
 
     def make(self, request: Request) -> Arrays:
-        """Makes the requested surface, and returns its arrays.
+        """Computes the requested surface, and returns its arrays.
 
         Raises the library's errors.
         """

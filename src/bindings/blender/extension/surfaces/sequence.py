@@ -35,7 +35,8 @@ class Shown:
 
     number: int
     path: str
-    #: The number from the timing. It differs from `number` if the file with that number is missing.
+    #: The number that the timing gives. It differs from `number` if the file with that number is
+    #: missing.
     wanted: int
 
     @property

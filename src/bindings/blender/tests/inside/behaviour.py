@@ -31,7 +31,7 @@ def check(sentence: Callable[[], None]) -> Callable[[], None]:
 
 
 def count_making() -> None:
-    """Appends the source of every surface to `made`, from now on."""
+    """From now on, appends the source of every surface that is computed to `made`."""
     make = extension.surfaces.request.Maker.make
 
     def counted(self: Any, request: Any) -> Any:
@@ -136,7 +136,7 @@ def a_frame_is_made_again_where_its_file_has_changed() -> None:
     assert before[0] > 0
     (folder / "pool_2.npy").unlink()
     scene.frame_set(2)
-    # Without a second file, the sequence ends with the first one, which stays visible.
+    # Without a second file, the sequence ends with the first file, whose surface stays visible.
     assert sizes(shown.data) == before and not live.status_of(shown.data).error
 
 
@@ -237,7 +237,7 @@ def a_saved_surface_stays_while_its_files_are_missing() -> None:
         assert "moved" in status.error and "saved" in status.notes[0], status
         assert np.array_equal(positions(shown.data), before)
         bpy.context.scene.frame_set(bpy.context.scene.frame_current)
-    # The saved surface is not that of another frame, or of other settings.
+    # The saved surface must not be shown for another frame or for other settings.
     bpy.context.scene.frame_set(2)
     assert live.status_of(shown.data).error and sizes(shown.data) == (0, 0)
     shown = opened()
@@ -510,7 +510,7 @@ def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
         made.clear()
         scene.render.filepath = str(options.folder / f"blurred_{blurred}.png")
         bpy.ops.render.render(write_still=True)
-        # The first render makes one surface. The second render and the viewport use the cache.
+        # The first render computes one surface. The second render and the viewport use the cache.
         assert len(made) == (0 if blurred else 1), made
         assert drawn.pop() == len(expected(10, cell=0.5).triangles) and shows(shown.data, expected(10))
         pictures.append(picture_of(options.folder / f"blurred_{blurred}.png"))

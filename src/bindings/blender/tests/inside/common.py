@@ -1,4 +1,4 @@
-"""Installs the extension from its zip in a fresh Blender, and makes frames."""
+"""Installs the extension from its zip in a fresh Blender, and generates frames."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def memory() -> None:
     frames = [number - settings.first + settings.start for number in numbers]
     before = []
     for change in range(CHANGES + 1):
-        # A new smoothing width makes a new surface, which cannot be in the cache.
+        # A new smoothing width requires a new surface, which cannot be in the cache.
         settings.smooth = 1.5 + change * 1e-3
         scene.frame_set(frames[change % 2])
         if change in (0, 10, 25, 50, 100, 150, CHANGES):

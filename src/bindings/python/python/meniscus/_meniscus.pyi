@@ -57,7 +57,7 @@ class _Sampling(TypedDict, total=False):
     where: str | Iterable[str] | None
 
 class _Surface(TypedDict, total=False):
-    """Keywords for making a surface from sampled particles."""
+    """Keywords for computing a surface from sampled particles."""
 
     periodic_mesh: Literal["cut", "overlap"] | None
     smooth: float | None

@@ -54,12 +54,12 @@ class Aabb3d:
 
     @staticmethod
     def from_min_max(min: Sequence[float], max: Sequence[float]) -> Aabb3d:
-        """Makes a box from its corners."""
+        """Creates a box from its corners."""
         return Aabb3d(np.asarray(min), np.asarray(max))
 
     @staticmethod
     def from_points(points: _Array) -> Aabb3d:
-        """Makes the bounding box of points."""
+        """Computes the bounding box of points."""
         return Aabb3d(points.min(axis=0), points.max(axis=0))
 
     def contains_point(self, point: Sequence[float]) -> bool:
