@@ -184,8 +184,8 @@ impl Simulation {
         self
     }
 
-    /// Follows a running simulation until its last frame, or until no new frame has appeared for
-    /// `seconds` seconds.
+    /// Follows a running simulation until its last frame, or until no file has appeared or
+    /// changed for `seconds` seconds.
     pub fn watch(mut self, seconds: f64) -> Self {
         self.watch = Some(seconds);
         self

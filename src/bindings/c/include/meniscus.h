@@ -230,7 +230,7 @@ typedef struct MeniscusSummary {
   uint64_t missing;
   // Number of particles in the frames that were converted.
   uint64_t particles;
-  // Lower bound on the number of particles that are missing from the surfaces.
+  // Lower bound on the number of particles outside the surface.
   uint64_t lost;
   // Duration, in seconds, of the conversion.
   double seconds;
@@ -349,7 +349,7 @@ typedef struct MeniscusReport {
   uint64_t too_far;
   // Number of particles that were left out because they are outside the domain.
   uint64_t outside;
-  // Lower bound on the number of particles that are missing from the surface.
+  // Lower bound on the number of particles outside the surface.
   uint64_t lost;
   // Number of components that the option "smallest-component" removed.
   uint64_t small_components;

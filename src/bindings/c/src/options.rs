@@ -107,8 +107,8 @@ options! {
     resume: bool = Source::switch,
     /// Replace existing outputs, for meniscus_convert.
     overwrite: bool = Source::switch,
-    /// Follow a running simulation until its last frame, or until no new frame has appeared for
-    /// this many seconds, for meniscus_convert.
+    /// Follow a running simulation until its last frame, or until no file has appeared or
+    /// changed for this many seconds, for meniscus_convert.
     watch: f64 = Source::number,
     /// Frames per second, if the files have no times, for meniscus_convert.
     fps: f64 = Source::number,

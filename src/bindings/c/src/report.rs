@@ -53,7 +53,7 @@ pub struct MeniscusReport {
     pub too_far: u64,
     /// Number of particles that were left out because they are outside the domain.
     pub outside: u64,
-    /// Lower bound on the number of particles that are missing from the surface.
+    /// Lower bound on the number of particles outside the surface.
     pub lost: u64,
     /// Number of components that the option "smallest-component" removed.
     pub small_components: u64,

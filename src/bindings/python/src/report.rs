@@ -30,7 +30,7 @@ use pyo3::prelude::*;
 ///     Number of particles that were skipped because a coordinate is not finite, because they are
 ///     too far away, or because they are outside the domain.
 /// lost : int
-///     Lower bound on the number of particles that are missing from the surface.
+///     Lower bound on the number of particles outside the surface.
 /// too_small : int
 ///     Number of drops and bubbles that were removed because they are too small.
 /// whole_triangles : int

@@ -60,8 +60,8 @@ pub const SIMULATION: [&str; 10] = [
 /// overwrite : bool, optional
 ///     Replace existing outputs.
 /// watch : float, optional
-///     Convert frames as a running simulation writes them, until no new frame has appeared for this
-///     many seconds.
+///     Convert frames as a running simulation writes them, until no file has appeared or changed
+///     for this many seconds.
 /// fps : float, optional
 ///     Frames per second, if the files contain no times.
 /// together : bool, optional

@@ -130,7 +130,7 @@ impl Event {
 ///     Whether all frames were converted: no frame failed or is missing, and no error stopped the
 ///     conversion.
 /// lost : int
-///     Lower bound on the number of particles that are missing from the surfaces of all frames.
+///     Lower bound on the number of particles outside the surfaces of all frames.
 /// seconds : float
 ///     Duration, in seconds, of the conversion.
 #[pyclass(frozen, get_all, module = "meniscus")]
