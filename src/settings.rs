@@ -498,7 +498,7 @@ impl Settings {
     /// stored alike.
     #[must_use]
     pub fn kept(&self) -> StoredSettings {
-        // Rounded to the nearest step of the field.
+        // The isovalue is rounded to the nearest step of the field.
         let iso = self.isovalue().and_then(|iso| Isovalue::new(iso).ok());
         let kept = Self {
             iso: iso.map(|iso| Iso::Value(iso.value())),

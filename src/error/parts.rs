@@ -30,7 +30,7 @@ pub enum PartsError {
     /// The plan does not exist yet.
     #[error("{}: there is no plan yet; make the plan first", .0.display())]
     NoPlan(PathBuf),
-    /// A damaged plan, or one of another version.
+    /// A plan that is damaged, or was written by another version of meniscus.
     #[error(
         "{}: the plan is damaged or was written by another version of meniscus (error: {what}); \
          make the plan again",
@@ -54,7 +54,7 @@ pub enum PartsError {
         /// The names of the settings that differ.
         differing: String,
     },
-    /// A particle file that is not the one of the plan, or that has changed since then.
+    /// A particle file for which the plan was not made, or that has changed since then.
     #[error(
         "{}: this is not the file for which {} was made, or it has changed since then; make the \
          plan again",

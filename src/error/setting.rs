@@ -31,7 +31,7 @@ pub enum Conflict {
     },
     /// A frame that was already sampled with another value of the setting.
     Sampled,
-    /// A surface that is made on a device, from particles that are on the device too.
+    /// A surface that is made on a device, from particles that are also there.
     OnDevice,
     /// The format of the mesh.
     Format {

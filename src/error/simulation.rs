@@ -104,7 +104,7 @@ pub enum SimulationError {
         #[source]
         fault: std::io::Error,
     },
-    /// A damaged state file, or one of another version.
+    /// A state file that is damaged, or was written by another version of meniscus.
     #[error(
         "{}: the state file is damaged or was written by another version of meniscus (error: \
          {what})",
@@ -116,7 +116,7 @@ pub enum SimulationError {
         /// The damage.
         what: String,
     },
-    /// A conversion with other settings that writes to the same outputs.
+    /// Another conversion, with other settings, that writes to the same outputs.
     #[error(
         "{}: another conversion, with different settings, uses this output; wait until it ends, or \
          choose another output",
@@ -139,7 +139,8 @@ pub enum SimulationError {
         /// The number of a frame that differs.
         frame: i64,
     },
-    /// A state from a run with other settings, or whose calibration frame has changed since then.
+    /// The state is from a run with other settings, or its calibration frame has changed since that
+    /// run.
     #[error(
         "{}: the existing frames do not match this request; changed: {differing}",
         path.display()

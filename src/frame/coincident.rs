@@ -30,9 +30,9 @@ pub struct CoincidentCounts {
     record: u64,
 }
 
-/// Number of bits of the hash that finds candidates.
+/// Number of bits of the hash that finds records which may occur twice.
 const BITS: u32 = 13;
-/// If a bin has more records than this, the hash finds too many candidates.
+/// If a bin has more records than this, the hash finds too many of them.
 const FEW: usize = 1 << (BITS - 1);
 
 impl CoincidentCounts {

@@ -145,8 +145,8 @@ impl<'a> CountedFrame<'a> {
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = MemoryEstimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
-            // If particles have several sizes, clouds are made from the sorted particles, octave by
-            // octave: once for their volumes and once for their sizes.
+            // If particles have several sizes, clouds are computed from the sorted particles,
+            // octave by octave: once for their volumes and once for their sizes.
             Method::Indicator { .. } if self.sampling.sizes.is_some() => {
                 MemoryEstimate { field: 2 * estimate.field, carried: true, ..estimate }
             }

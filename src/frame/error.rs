@@ -209,7 +209,7 @@ fn explain(census: &Census) -> String {
     }
 }
 
-/// The object of a message about all components of a surface.
+/// The grammatical object of a message that all components of a surface were removed.
 fn all_components(small: &TooSmall) -> String {
     match small.total() {
         1 => "its only component".into(),
@@ -218,7 +218,7 @@ fn all_components(small: &TooSmall) -> String {
 }
 
 impl FrameError {
-    /// Returns the error for an empty surface that was made with `recipe` around a solid.
+    /// Returns the error for a surface that `recipe` leaves empty, with or without a solid.
     pub(super) fn no_surface(recipe: &Recipe, solid: Option<&Solid>) -> Self {
         match recipe.filters {
             Filters::Paper(_) => Self::NoSurface { iso: recipe.iso },

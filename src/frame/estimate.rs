@@ -57,7 +57,7 @@ pub struct MemoryEstimate {
     pub spilled: u64,
     /// Maximum size of the DIF.
     pub field: u64,
-    /// The wider cells of the DIF, which are made after sampling and are included in `field`.
+    /// Size of the DIF in wider cells, which is computed after sampling and is included in `field`.
     pub wide: u64,
     /// Expected size of the surface before it is written.
     pub surface: u64,
@@ -73,7 +73,7 @@ pub struct MemoryEstimate {
 /// The quantities that determine the memory of the surface stages.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Extraction {
-    /// Memory, in bytes, of a block while its field is made.
+    /// Memory, in bytes, of a block while its field is computed.
     pub block_bytes: u64,
     /// The distance, in cells, within which particles affect the attributes of a cell.
     pub carried_halo: i32,
@@ -172,8 +172,8 @@ impl Extraction {
     }
 }
 
-/// Maximum size, in bytes, of the pages of wider cells, which are 2, 4, ... times as wide. `bins`
-/// lists the number of nonzero samples in each bin.
+/// Maximum size, in bytes, of the pages of the DIF in wider cells: cells that are 2, 4, ... times
+/// as wide. `bins` lists the number of nonzero samples in each bin.
 fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u64 {
     let page = |nonzero: usize| {
         PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64

@@ -281,7 +281,8 @@ impl Row {
             let own = i32::from(level.level);
             for tile in &*surface.tiles(piece)? {
                 let place = tile.corner(block) / TILE;
-                // Narrower cells behind the tile have their own surface.
+                // Narrower cells behind the tile have their own surface, so the tile's last cell
+                // decides.
                 let narrower = level.of_tile(tile).narrower[1] >> (TILE - 1) & 1 == 1;
                 let corner = usize::from(!narrower);
                 let behind = tile.corners[corner] >> (TILE - 1) & 1 == 1;

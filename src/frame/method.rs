@@ -16,7 +16,7 @@ pub enum Method {
         /// `mu0`, for counting; if `None`, it is measured on the frame (eq. 4).
         mean: Option<MeanCount>,
     },
-    /// Kernels whose width depends on the spacing, on the CPU.
+    /// Kernels whose width depends on the spacing. They run on the CPU only.
     Kernels(KernelMethod),
 }
 

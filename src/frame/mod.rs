@@ -62,7 +62,7 @@ use sink::FieldSink;
 use sizes::SampledSizes;
 use surface::ExtractableField;
 
-/// The field of a frame, with everything else that making the surface needs.
+/// The field of a frame, with everything else that is needed to extract the surface.
 #[derive(Debug)]
 pub struct Engine {
     field: SampledField,

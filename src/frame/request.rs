@@ -179,7 +179,7 @@ pub struct Surfacing {
     pub detail: Detail,
     /// Whether vertices get normals.
     pub normals: Normals,
-    /// The end of the mesh at the faces of a periodic box.
+    /// How the mesh ends at the faces of a periodic box.
     pub periodic_mesh: PeriodicMesh,
     /// Whether the fluid ends at solids, which may be read later; only for clouds.
     pub at_solids: bool,
@@ -239,8 +239,8 @@ impl Surfacing {
         }
     }
 
-    /// The distance, in cells, beyond the halo of the field within which particles affect the
-    /// continuation of clouds into a solid; 0 without a solid.
+    /// How far beyond the halo of the field, in cells, particles affect the continuation of clouds
+    /// into a solid; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
         if !self.at_solids {
             return 0;
@@ -316,8 +316,8 @@ impl Surfacing {
         }
     }
 
-    /// The distance, in cells, beyond a periodic face within which particles affect the surface
-    /// inside the box. `coarsest` is the largest size, if the particles have several sizes.
+    /// How far beyond a periodic face, in cells, particles affect the surface inside the box.
+    /// `coarsest` is the largest size, if the particles have several sizes.
     #[must_use]
     pub fn reach(
         &self,

@@ -81,7 +81,7 @@ pub struct ResidentSurface {
     pub iso: Isovalue,
     /// The calibration of the surface, for the other frames of a simulation.
     pub calibration: Calibration,
-    /// The measurements behind the calibration; `None` if it was given.
+    /// What was measured for the calibration; `None` if the caller supplied the calibration.
     pub measured: Option<MeasuredCalibration>,
     /// Counts of binned and skipped particles.
     pub census: Census,

@@ -29,7 +29,7 @@ impl Resources {
         Self { budget, scratch, backend: Backend::cpu(), control: Control::default() }
     }
 
-    /// Bytes of the host's memory that the backend uses.
+    /// Host memory, in bytes, that the backend uses.
     pub(super) fn host_bytes(&self) -> u64 {
         self.backend.executor().host_bytes(self.budget)
     }

@@ -15,14 +15,14 @@ use crate::system::control::Meter;
 /// Maximum number of samples in the pages that are made together before they go into a file.
 const BATCH_SAMPLES: usize = 1 << 22;
 
-/// The destination of the DIF while it is made.
+/// The destination of the DIF while it is computed.
 pub(super) enum FieldSink {
     Memory {
         pages: Pages,
         /// Bytes of all samples.
         bytes: u64,
     },
-    /// The whole DIF, made at once.
+    /// The whole DIF, computed at once.
     Whole(DifField),
     File {
         file: File,
@@ -52,7 +52,7 @@ impl FieldSink {
         }
     }
 
-    /// Makes and stores the whole field of a frame whose bins are in memory.
+    /// Computes and stores the whole field of a frame whose bins are in memory.
     pub(super) fn take_whole(
         &mut self,
         stages: &dyn Stages,
@@ -69,7 +69,7 @@ impl FieldSink {
         }
     }
 
-    /// Makes and stores the pages of `bins`, which follow the previous pages.
+    /// Computes and stores the pages of `bins`, which follow the previous pages.
     pub(super) fn take(
         &mut self,
         stages: &dyn Stages,

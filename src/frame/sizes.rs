@@ -36,11 +36,11 @@ pub(super) struct SampledSizes {
 
 /// Edge, in blocks, of a cube of blocks that are meshed together.
 const BLOCKS_TOGETHER: i32 = 2;
-/// Maximum number of bins whose pages are made together, all of the same octave.
+/// Maximum number of bins whose pages are computed together, all of the same octave.
 const TOGETHER: usize = 1 << 7;
 
 impl SampledSizes {
-    /// Makes the clouds of particles whose last attributes are their sizes.
+    /// Computes the clouds of particles whose last attributes are their sizes.
     pub(super) fn sample(
         bins: &Bins,
         facts: FrameFacts,
@@ -230,8 +230,8 @@ impl FieldOfLevel<'_> {
         self.field.crossed_on(cells.with_nearest_of(self.walls), away)
     }
 
-    /// Returns `field`. If it was not made, because all of `cells` lie on one side of the surface,
-    /// makes it now.
+    /// Returns `field`. If it was not computed, because all of `cells` lie on one side of the
+    /// surface, computes it now.
     fn completed(&self, field: Result<Block, BoxSide>, cells: CellBox) -> LevelField {
         let field = field.unwrap_or_else(|_| self.field.everywhere_on(cells));
         LevelField { field, walls: self.walls }

@@ -110,7 +110,7 @@ impl<'a> ExtractableField<'a> {
     }
 }
 
-/// A frame with everything that making its surface needs.
+/// A frame with everything that is needed to extract its surface.
 pub struct CalibratedFrame<'a> {
     pub(super) facts: &'a FrameFacts,
     pub(super) carried: Option<&'a (Arc<Bins>, Vec<AttributeInfo>)>,
@@ -126,7 +126,8 @@ pub struct CalibratedFrame<'a> {
 }
 
 impl<'a> CalibratedFrame<'a> {
-    /// The measurements on the frame; `None` if the calibration was given, or for kernels.
+    /// What was measured on this frame; `None` if the caller supplied the calibration, or for
+    /// kernels.
     pub fn measured(&self) -> Option<MeasuredCalibration> {
         self.measured
     }
@@ -167,8 +168,8 @@ impl<'a> CalibratedFrame<'a> {
         Ok(spool)
     }
 
-    /// The blocks that the surface can pass through, in Morton order, each with the number of cells
-    /// in it that the surface can pass through.
+    /// The blocks that the surface can pass through, in Morton order, each with the number of its
+    /// cells that the surface can pass through.
     pub fn passed(&self) -> impl Iterator<Item = (MortonKey, usize)> + '_ {
         self.extracted
             .regions

@@ -24,7 +24,7 @@ pub fn say_error(error: &Error) {
     super::notes::say(&format!("meniscus: {}", error_message(error)));
 }
 
-/// Prints an error of a command without the options `--backend` and `--scratch`. The advice does
+/// Prints an error of a command that lacks the options `--backend` and `--scratch`. The advice does
 /// not name these options.
 pub fn say_error_without_machine(error: &Error) {
     let names_machine = match error {
@@ -124,7 +124,7 @@ fn advice(error: &Error) -> String {
             ", or use --overwrite to replace the existing ones"
         }
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
-        // If only the input of the calibration frame has changed, no setting precedes it.
+        // If `differing` begins with this text, it names no setting: only the input has changed.
         Error::Simulation(SimulationError::Settings { differing, .. })
             if differing.starts_with("input frame") =>
         {
@@ -253,7 +253,7 @@ pub fn spacing_message(warning: &SpacingWarning) -> String {
 }
 
 /// The beginning of advice that does not apply if the particles are spray. In that case, the
-/// warning already says that it can be right.
+/// warning already says that the spacing, or the sizes, can be right.
 fn otherwise(spray: bool) -> &'static str {
     if spray { "otherwise, " } else { "" }
 }

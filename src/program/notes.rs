@@ -17,7 +17,7 @@ pub struct Notes {
 
 impl Notes {
     /// Selects the level of detail: with `quiet`, only errors are printed; with `verbose`, details
-    /// are printed too.
+    /// are also printed.
     pub fn new(quiet: bool, verbose: bool) -> Self {
         Self { quiet, verbose, bars: None }
     }

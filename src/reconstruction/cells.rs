@@ -34,10 +34,10 @@ impl CellSize {
     /// counting and symmetry.
     ///
     /// In cells of two thirds of a spacing, single drops are angular, and their volume depends on
-    /// their position. Cells of half a spacing take hardly longer, because the surface is made in
-    /// the same wide cells. Renders of single drops need cells of a quarter of a spacing. The
-    /// indicators counting and symmetry use two thirds of a spacing, because symmetry fails in
-    /// cells of half a spacing.
+    /// their position. Cells of half a spacing take hardly longer, because the surface of the bulk
+    /// is computed on the same wide cells. Renders of single drops need cells of a quarter of a
+    /// spacing. The indicators counting and symmetry use two thirds of a spacing, because symmetry
+    /// fails in cells of half a spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
@@ -94,8 +94,8 @@ pub struct FoundWalls {
     pub spacings: Option<[[f64; 2]; 3]>,
 }
 
-/// The range of distances, in spacings, between a wall and the fluid's end at which the surface is
-/// ragged: too far for the fluid to reach the wall, and too near for a surface of its own.
+/// Distances, in spacings, between the end of the fluid and a wall at which the surface is ragged:
+/// the fluid is too far from the wall to reach it, and too near to have a surface of its own.
 const RAGGED: Range<f64> = 0.35..1.0;
 
 impl FoundWalls {

@@ -29,7 +29,7 @@ pub(crate) struct ExtractedSurface {
 pub(crate) struct Findings {
     /// The calibration of the surface, given or measured.
     pub(crate) calibration: Option<Calibration>,
-    /// The measurements behind the calibration; `None` if it was given.
+    /// What was measured for the calibration; `None` if the caller supplied the calibration.
     pub(crate) measured: Option<MeasuredCalibration>,
     /// Lower bound of the number of particles that are missing from the surface.
     pub(crate) lost: u64,

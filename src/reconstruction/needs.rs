@@ -141,7 +141,7 @@ fn forecast(
             None => (expected, None),
         });
     }
-    // Blocks need all particles within the reach of the largest particles.
+    // With kernel methods, a sample of the blocks cannot be measured.
     let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);

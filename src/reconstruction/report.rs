@@ -33,7 +33,8 @@ pub struct Report {
     pub calibration: Option<Calibration>,
     /// The isovalue, if the method is a kernel method with an isovalue.
     pub kernel_iso: Option<f64>,
-    /// The measurements behind the calibration; `None` if it was given, or for kernel methods.
+    /// What was measured for the calibration; `None` if the caller supplied it, or for kernel
+    /// methods.
     pub measured: Option<MeasuredCalibration>,
     /// Lower bound of the number of particles that are missing from the surface.
     pub lost: u64,
@@ -104,7 +105,7 @@ impl Report {
         (self.cells, self.moved) = (cells, moved);
     }
 
-    /// Whether the field is made from clouds.
+    /// Whether the field is computed from clouds.
     #[must_use]
     pub fn is_clouds(&self) -> bool {
         self.indicator == Some(Indicator::Cloud)

@@ -305,7 +305,7 @@ impl SamplingRequest {
         }
         if seeks_walls {
             let ends = self.ends(particles, known, &cells)?;
-            // In a domain, only the planes matter at which the particles end.
+            // In a domain, only the planes at which the particles end matter.
             let scene = from.path.filter(|_| self.walls.is_none());
             let found = ends.map(|ends| self.walls_of(&[ends], scene));
             cells.walls =
@@ -413,8 +413,8 @@ impl SamplingRequest {
         };
         let share = EvenSample::of(particles.len());
         if let Some((spacing, source)) = self.given(from) {
-            // The scene file may belong to other particles, and does not mention a second
-            // resolution.
+            // A spacing from a scene file must be checked: the file may belong to other particles,
+            // and does not mention a second resolution.
             let is_scene = matches!(source, SpacingSource::Scene(_));
             let in_cubes = CubeSample::new(Cubes::for_spacing(spacing), particles.len());
             let look = |positions: &[[f64; 3]]| {
@@ -538,7 +538,7 @@ impl SamplingRequest {
                 look.place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
             look.place.plane.is_none() && !coarse && !is_suspicious(&look.neighbours, spacing)
         });
-        // The scene file may belong to other particles, and does not mention a second resolution.
+        // A spacing from a scene file must be checked: see `cells_by`.
         let is_scene = matches!(source, SpacingSource::Scene(_));
         let evidence = match evidence_at_hand {
             None if !all_is_well || is_scene => evidence(particles),
@@ -591,8 +591,8 @@ impl SamplingRequest {
             if let Some(fault) = estimate.as_ref().ok().filter(is_sure).and_then(misfit) {
                 return Err(Error::Frame { path: path(), fault: fault.into() });
             }
-            // The particles of spray are farther apart than the spacing, so cells can be right that
-            // look too fine for an estimate of spray.
+            // Particles of spray are farther apart than the spacing, so cells that look too fine
+            // for an estimate from spray can be right.
             if !estimate.as_ref().is_ok_and(|estimate| misfit(estimate).is_none()) {
                 let origin = self.origin_for(middle, size);
                 return Ok(Cells {

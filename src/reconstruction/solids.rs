@@ -21,8 +21,8 @@ const BYTES_A_BYTE: u64 = 2;
 /// free, but at most `MOST_KEPT` bytes.
 const KEPT_PART: u64 = 32;
 const MOST_KEPT: u64 = 64 << 20;
-/// The maximum, in bytes, for solids of a single frame. It is smaller than `MOST_KEPT`, because
-/// several frames are made at a time, each with its own solids.
+/// The maximum, in bytes, of computed distances from the solids of a single frame. It is smaller
+/// than `MOST_KEPT`, because several frames are made at a time, each with its own solids.
 const MOST_KEPT_IN_FRAME: u64 = 2 << 20;
 
 impl Settings {

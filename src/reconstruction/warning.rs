@@ -72,7 +72,7 @@ pub enum Warning {
         /// The number of the calibration frame, if frames have numbers.
         calibration_frame: Option<i64>,
     },
-    /// The colours of a frame have alpha, unlike those of other frames, or the reverse.
+    /// The colours of this frame have alpha and those of other frames do not, or the reverse.
     Alpha {
         /// The colour.
         attribute: String,

@@ -62,7 +62,7 @@ pub enum Event {
         path: PathBuf,
         /// The calibration that all frames share.
         shared: Box<SharedCalibration>,
-        /// The suitability of the calibration frame to represent the other frames.
+        /// How well the calibration frame represents the other frames.
         trust: Trust,
     },
     /// The conversion begins.
@@ -205,7 +205,8 @@ pub struct MissingFrames {
     pub frames: Vec<(i64, PathBuf)>,
 }
 
-/// A requested first or last frame beyond which, among the requested frames, no files were found.
+/// A requested first or last frame that was not found: the existing frames begin after it, or end
+/// before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum UnreachedEnd {
@@ -273,7 +274,7 @@ pub struct Summary {
     pub chosen: Option<Gaps>,
     /// The requested first and last frame, if no files were found for them.
     pub unreached: Vec<UnreachedEnd>,
-    /// The reason why the lists of frames do not use the times of the frames, if there are any.
+    /// If the frames have times that the lists of frames do not use, the reason for this.
     pub unused_times: Option<UnusedTimes>,
     /// Number of existing meshes that stay in the lists although their frames are not among the
     /// inputs.

@@ -11,8 +11,8 @@ use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 /// Infers the patterns of files, one for each simulation. Files without a number are ignored.
 ///
 /// Names that differ in more than their numbers belong to different simulations. In names that
-/// differ only in numbers, the number that varies is the frame number; in the name of a single
-/// file, the last number is. If several numbers vary, the last one is the frame number if the
+/// differ only in numbers, the number that varies is the frame number. In the name of a single
+/// file, it is the last number. If several numbers vary, the last one is the frame number if the
 /// others distinguish parallel simulations. A number after `rank` or `proc` is the number of a
 /// piece if every frame has the same pieces. Decimal numbers are times if they continue from one
 /// integer to the next.
@@ -59,7 +59,7 @@ fn by<'a>(
     groups
 }
 
-/// Joins `f-1` with `f1`: if both exist, the dash is a sign.
+/// Treats `f-1` and `f1` as names of one kind: if both exist, the dash is a sign.
 fn with_signs(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
     let dashed: Vec<String> =
         kinds.keys().filter(|kind| kind.matches("-\0").count() == 1).cloned().collect();
@@ -128,7 +128,7 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
     (fractions.len() > 1 && longest(false) < 1.5 * longest(true)).then(pattern)
 }
 
-/// The number of the frame, in files that differ only in digits.
+/// Where the frame number is, in names that differ only in digits.
 enum FrameNumber {
     /// A run of digits.
     Run(usize),
@@ -198,7 +198,7 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     }))
 }
 
-/// Texts between the number of a piece and the number of all pieces.
+/// Texts between the number of a piece and the total number of pieces.
 const OF: [&str; 3] = ["of", "_of_", "-of-"];
 /// Texts that can also stand between other numbers.
 const MAY_BE_OF: [&str; 3] = ["_", "-", "."];

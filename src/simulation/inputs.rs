@@ -31,7 +31,7 @@ const PATIENCE: Duration = Duration::from_secs(300);
 pub enum Inputs {
     /// A name with `{}` for the number.
     Pattern(Pattern),
-    /// All supported files in a folder. Packed frames only if there are no particle files.
+    /// All supported files in a folder. Packed frames count only if there are no particle files.
     Folder(PathBuf),
     /// A glob that a shell would expand.
     Glob(String),
@@ -631,7 +631,7 @@ fn refuse_folders(inputs: &[PathBuf]) -> Result<(), SimulationError> {
     }
 }
 
-/// The error for an input that does not exist, if it does not.
+/// The error for an input that does not exist; `None` if the input exists.
 fn missing(input: &Path) -> Option<SimulationError> {
     let fault = file_and_step(input).0.metadata().err()?;
     Some(SimulationError::Unreadable { path: input.to_owned(), fault })

@@ -79,7 +79,8 @@ pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
 /// is incomplete.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if two simulations have no frame number in common, or other times.
+/// [`SimulationError::Names`] if two simulations have no frame number in common, or differ in
+/// times.
 pub(super) fn joined(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,

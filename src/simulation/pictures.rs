@@ -632,8 +632,8 @@ impl Sheet {
         &self.path
     }
 
-    /// The meshes in the lists of frames of all simulations. Other meshes next to them are not of
-    /// this conversion.
+    /// The meshes in the lists of frames of all simulations. Other meshes next to them do not
+    /// belong to this conversion.
     fn meshes(&self) -> Result<Vec<FrameFile>, Error> {
         let simulations = self.inputs.simulations(None)?;
         let mut meshes = Vec::new();

@@ -56,7 +56,7 @@ pub(super) struct ExistingMeshes {
 
 impl ExistingMeshes {
     /// The existing meshes in `folder` of frames whose numbers are not in `known`, if they were
-    /// made with the state of this fingerprint.
+    /// made with the state that has this fingerprint.
     pub(super) fn of_other_frames(
         &self,
         known: &BTreeSet<i64>,

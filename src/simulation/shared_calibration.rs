@@ -54,8 +54,8 @@ pub struct SharedCalibration {
 }
 
 /// Maximum relative difference between the cells of a packed frame and those of the calibration
-/// frame. It changes the volume of the surface by about as much. Estimated spacings of similar
-/// frames differ by less.
+/// frame. This difference changes the volume of the surface by about as much. Estimated spacings of
+/// similar frames differ by less.
 const SAME_CELLS: f64 = 0.05;
 
 impl SharedCalibration {
@@ -94,11 +94,11 @@ pub struct FrameMeasurements {
     pub grid: Grid,
     /// The measured or given calibration; `None` for kernel methods.
     pub calibration: Option<Calibration>,
-    /// The suitability of the calibration frame to represent the other frames.
+    /// How well the calibration frame represents the other frames.
     pub trust: Trust,
 }
 
-/// The suitability of a calibration frame to represent the other frames.
+/// How well a calibration frame represents the other frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Trust {
     /// Almost no fluid is deeper than the reach of the filters.

@@ -90,8 +90,9 @@ impl<'a> Tally<'a> {
     /// Adds finished meshes of frames that are not among the existing `frames`: their inputs were
     /// removed, or are left out of this request. Returns their number.
     ///
-    /// A request that overwrites meshes, and frames without numbers of their own, list only what
-    /// exists: a mesh may belong to an earlier simulation, or to another number by now.
+    /// If the request overwrites meshes, or if the frames have no numbers of their own, adds
+    /// nothing: a mesh may belong to an earlier simulation, or its frame may have another number by
+    /// now.
     fn list_others(&mut self, meshes: &ExistingMeshes, frames: &[FrameFile]) -> usize {
         let Setup { simulation, sequence, ref outputs, .. } = *self.conversion.setup;
         let has_numbers = sequence.has_own_numbers();
@@ -254,7 +255,7 @@ impl<'a> Tally<'a> {
         let mut stale = meshes.stale(&numbers, outputs.folder(), |number| {
             simulation.wants(number) && simulation.selection.spans(number)
         });
-        // Frames that were not reached can still be resumed.
+        // Frames that this run did not reach can still be resumed, so their meshes are not stale.
         if self.done < self.total {
             stale.clear();
         }
@@ -307,7 +308,7 @@ impl<'a> Tally<'a> {
     }
 }
 
-/// Whether an error in one frame would occur in all other frames too.
+/// Whether an error in one frame would also occur in all other frames.
 fn ends_all(error: &Error) -> bool {
     match error {
         Error::Write(WriteError { fault: WriteFault::Io(fault), .. }) => {

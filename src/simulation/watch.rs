@@ -9,8 +9,8 @@ use super::shared_calibration::Stamp;
 
 /// Time without changes after which a file counts as complete.
 const SETTLED: Duration = Duration::from_secs(1);
-/// Time, in seconds, after the last new or changed file, for which a watch waits for missing
-/// numbers before the last selected frame.
+/// Time, in seconds, for which a watch waits after the last new or changed file if numbers are
+/// missing before the last selected frame.
 const FOR_GAPS: f64 = 10.0;
 
 /// The frames that have been seen so far.

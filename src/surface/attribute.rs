@@ -3,14 +3,14 @@
 //! A cell's value is blur(sum of values) / blur(N), where N is the number of particles in the cell.
 //! Both are blurred like the DIF. The value of a vertex is interpolated between the two cells at
 //! the ends of its edge, weighted by its position on the edge. Sums over particles are integers:
-//! values are rounded to multiples of a step. The step is the power of two at which the greatest
-//! magnitude among the particles that affect a block of vertices takes 30 bits. Particles with a
-//! value that is not finite are skipped.
+//! values are rounded to multiples of a step. The step is a power of two, chosen so that the
+//! greatest magnitude among the particles that affect a block takes 30 bits. Particles with a value
+//! that is not finite are skipped.
 //!
 //! Integers such as identifiers cannot be averaged, so a vertex takes the value of the nearest
 //! particle. Ties are decided by the particle's position, and then by its values.
 //!
-//! The value of a vertex depends on the particles within the reach of the smoothing.
+//! The value of a vertex depends only on the particles within the reach of the smoothing.
 
 use std::io;
 use std::ops::Range;
@@ -31,8 +31,8 @@ const AT_ONCE: usize = 16;
 /// memory than the mesh.
 const WIDE: usize = 64;
 
-/// Whether attributes are wide in total: `components` has the number of components of each. Wide
-/// attributes are interpolated and encoded for only a few blocks at a time.
+/// Whether the attributes together are wide. `components` has the number of components of each
+/// attribute. Wide attributes are interpolated and encoded for only a few blocks at a time.
 pub fn are_wide(components: impl IntoIterator<Item = usize>) -> bool {
     components.into_iter().sum::<usize>() > WIDE
 }
@@ -88,7 +88,7 @@ pub fn vertex_values(
         return Ok(Vec::new());
     }
     let reach = smoothing.halo();
-    // Sums are mirrored at walls.
+    // Sums are mirrored at walls, so the nearest cells within the walls are also needed.
     let cells = used.with_nearest_of(mirror.map(|mirror| mirror.cells())).grown(reach, reach);
     let smooth = |mut sum: Block<f64>| {
         sum.mirror(mirror);
@@ -227,8 +227,8 @@ fn interpolate(
     }
 }
 
-/// For each component in `group`, the sums over the particles of each cell; the last block has the
-/// number of particles in each cell. All components are rounded to the same step.
+/// For each component in `group`, a block with the sum over the particles of each cell. The last
+/// block has the number of particles in each cell. All components are rounded to the same step.
 fn sums(
     bins: &Bins,
     (attribute, components): (usize, usize),

@@ -112,7 +112,7 @@ impl Control {
 
 /// Number of steps in a stage. Each step is reported.
 const STEPS: usize = 128;
-/// Time since the last report after which less than a step of progress is reported too.
+/// If the last report is older than this, less than a step of progress is also reported.
 const LONG: Duration = Duration::from_millis(50);
 
 /// Counts the finished parts of a stage on all threads, reports progress to the caller, and checks

@@ -67,7 +67,7 @@ impl<'a> PastCache<'a> {
     }
 
     /// Writes the rest of the current piece, from its byte `from`, through the cache. All later
-    /// bytes go through the cache too.
+    /// bytes also go through the cache.
     fn keep_to_cache(&mut self, from: usize) -> io::Result<()> {
         let WriteMode::Past { piece, filled } =
             std::mem::replace(&mut self.way, WriteMode::Cached(u64::MAX))

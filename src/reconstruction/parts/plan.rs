@@ -25,8 +25,8 @@ use crate::system::timings::Timings;
 use super::plan_file::{BlockShare, SharedPlan, path_in};
 use super::{ExistingPlan, PartNeeds, PartShare, Parts, PartsPlan, PartsRequest, chunks};
 
-/// Number of cells near the surface whose field and mesh take as long as binning and sampling one
-/// particle.
+/// Number of cells near the surface for which computing the field and the mesh takes as long as
+/// binning and sampling one particle.
 const CELLS_A_PARTICLE: u64 = 4;
 
 impl Parts {

@@ -199,7 +199,8 @@ mod tests {
     fn where_levels_meet_a_cells_triangles_have_no_diagonal_in_a_face() {
         let mut seen = 0;
         for (joined, case) in joined_cases() {
-            // For each pair of edges, the number of triangle sides from the first to the second.
+            // For each pair of edges that a side of a triangle joins, whether both are in a common
+            // face.
             let mut sides = std::collections::BTreeMap::new();
             for triangle in joined.triangles(case) {
                 let corners = triangle.map(|edge| joined.edge(edge));

@@ -13,9 +13,9 @@ use super::{Crossings, Level, Normals};
 /// The surface in the tiles of `region`, which must be part of one block. There is one vertex on
 /// each crossed dual edge.
 ///
-/// Cells outside `walls` are ghost points, and must have the sample of the nearest cell inside. The
-/// result contains every tile with a dual cell of mixed signs, even if all vertices of its
-/// triangles belong to neighbouring tiles.
+/// Cells outside `walls` are ghost points, and must have the sample of the nearest cell within the
+/// walls. The result contains every tile with a dual cell of mixed signs, even if all vertices of
+/// its triangles belong to neighbouring tiles.
 ///
 /// # Panics
 /// If `field` does not cover the region's tiles and one cell beyond their upper faces.
@@ -58,8 +58,8 @@ pub fn contour<L: Level>(
     BlockMesh { block, tiles, ends, triangle_count, ..BlockMesh::default() }
 }
 
-/// The surface that [`contour`] makes in `region`, with normals if requested; `None` if there is no
-/// surface.
+/// The surface that [`contour`] returns for `region`, with normals if requested; `None` if there is
+/// no surface.
 ///
 /// # Panics
 /// If `field` does not cover the cells that [`Normals::cells`] returns.
@@ -103,8 +103,8 @@ fn normals<T: Copy + Default + Into<f64>>(
     normals
 }
 
-/// The normal of one vertex, from its edge, its position on the edge, whether the field falls along
-/// the edge, and the decrease of the field along each axis at both ends.
+/// Computes the normal of a vertex from its edge, its position on the edge, whether the field falls
+/// along the edge, and the decrease of the field along each axis at both ends of the edge.
 pub fn normal(
     (cell, axis): (IVec3, usize),
     fraction: f64,
@@ -127,14 +127,14 @@ pub fn normal(
     normal.try_normalize().unwrap_or(fallback).as_vec3().to_array()
 }
 
-/// Number of cells along each axis that are corners of the dual cells of a tile.
+/// Number of cells, along each axis, at the corners of a tile's dual cells.
 const ROWS: usize = TILE as usize + 1;
 
 /// Number of tiles along a block's edge.
 const TILES: i32 = BLOCK / TILE;
 
-/// The signs of a region's cells and of one layer beyond its upper faces: one word for each row
-/// along x, with y varying fastest.
+/// The signs of a region's cells and of one layer beyond its upper faces. There is one word for
+/// each row of cells along x; from word to word, y varies fastest.
 struct Signs {
     region: CellBox,
     rows: Vec<u64>,
@@ -167,8 +167,8 @@ impl Signs {
         ((y - lo.y) + (hi.y + 1 - lo.y) * (z - lo.z)) as usize
     }
 
-    /// The words of the rows that the dual cells of the tiles at (y, z) use: for each z, the words
-    /// of all y.
+    /// The rows that the dual cells of the tiles at (y, z) use: for each layer in z, the words of
+    /// its rows.
     fn rows(&self, y: i32, z: i32) -> [&[u64]; ROWS] {
         std::array::from_fn(|up| &self.rows[self.index(y, z + up as i32)..][..ROWS])
     }
@@ -197,12 +197,13 @@ impl Signs {
         mixed
     }
 
-    /// For each corner of the dual cells of the tile at `corner`, the signs of the cells there. The
-    /// bits of a corner's number say along which axes the corner is the upper one.
+    /// The signs of the grid cells at the eight corners of each dual cell in the tile that starts
+    /// at `corner`, as one mask per corner. Bit i of a corner's index is set if the corner is on
+    /// the upper side along axis i.
     fn corners(&self, corner: IVec3) -> [TileMask; 8] {
         let rows = self.rows(corner.y, corner.z);
         let x = corner.x - self.region.lo.x;
-        // Four cells from each row of a layer.
+        // The signs of four cells from each row of a layer.
         let layer = |up_x: i32, z: usize| {
             (0..ROWS)
                 .fold(0, |layer, y| layer | (rows[z][y] >> (x + up_x) & 0xf) << (TILE as usize * y))

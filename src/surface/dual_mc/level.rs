@@ -46,10 +46,10 @@ impl Level for ZeroLevel {
 
     #[inline]
     fn ends(self, lower: f64, upper: f64) -> [u16; 2] {
-        // A ghost point has the value of the cell that it mirrors.
+        // If one end is a ghost point, both ends have the same value.
         let fraction = if lower == upper { 0.5 } else { lower / (lower - upper) };
-        // The conversion saturates, so the fraction stays below 1. With a fraction of 0, the vertex
-        // would be on the sample.
+        // The conversion saturates, so the fraction stays below 1. A fraction of 0 would put the
+        // vertex on the sample, so the least fraction is one step.
         let steps = ((fraction * 2_f64.powi(32)) as u32).max(1);
         [steps as u16, (steps >> 16) as u16]
     }

@@ -90,7 +90,7 @@ pub struct Outputs {
     pub ends: View,
     /// [`Falls`] for every vertex, if normals are requested.
     pub falls: View,
-    /// Capacity in vertices. If the vertices do not fit, the shaders write no tiles and no
+    /// The maximum number of vertices. If there are more, the shaders write no tiles and no
     /// vertices.
     pub room: u32,
 }

@@ -11,7 +11,7 @@ use super::sides::Sides;
 use super::triangle::Triangle;
 use super::{BAND, BLOCK, LEAF, Leaf, first_voxel};
 
-/// Distance, in voxels, from a block within which a triangle can matter to the block.
+/// The distance from a block, in voxels, within which a triangle can matter to the block.
 pub const MARGIN: f64 = BAND as f64 + 0.01;
 /// Number of voxels along the edge of a block.
 const SIDE: usize = BLOCK as usize;
@@ -46,12 +46,13 @@ impl Band {
             squared: vec![BAND * BAND; voxels],
             nearest: vec![0; voxels],
             touched: [false; LEAVES.pow(3)],
-            // Groups are stored before it is known whether they are needed.
+            // There is room for one more group, because a group is stored before it is known
+            // whether it is needed.
             groups: vec![[0; 4]; voxels / TOGETHER + 1],
         }
     }
 
-    /// Begins a block that is near a number of triangles.
+    /// Begins a block with this number of triangles nearby.
     pub fn begin(&mut self, triangles: usize) {
         self.near.clear(triangles);
         self.sides.clear();
@@ -88,8 +89,7 @@ impl Band {
         leaves
     }
 
-    /// Compares N triangles, of which the first has this index, with all voxels within their reach.
-    /// Returns N.
+    /// Compares N triangles, from number `index` on, with all voxels within their reach. Returns N.
     fn compare<const N: usize>(&mut self, near: &NearTriangles, index: usize) -> usize {
         let group = &near.triangles[index..][..N];
         let Some(reach) = Reach::of(near, group) else { return N };
@@ -123,8 +123,9 @@ impl Band {
         }
     }
 
-    /// Compares triangles with [`TOGETHER`] voxels from index `voxel` on. `x`, `y` and `z` have the
-    /// coordinates of the voxels relative to the triangles' origin.
+    /// Compares triangles, of which the first has number `index`, with the [`TOGETHER`] voxels from
+    /// number `voxel` on. `x`, `y` and `z` are the coordinates of the first of these voxels,
+    /// relative to the triangles' origin.
     #[inline(always)]
     fn learn<const N: usize>(
         &mut self,
@@ -137,7 +138,7 @@ impl Band {
         let squared = self.squared[voxel..].first_chunk_mut::<TOGETHER>().expect(WITHIN);
         let nearest = self.nearest[voxel..].first_chunk_mut::<TOGETHER>().expect(WITHIN);
         let mut known = Vec4::from_array(*squared);
-        // The bits of integers, for which `select` is as good as for floats.
+        // The bits of integers, stored as floats: `select` only copies bits.
         let mut numbers = Vec4::from_array(nearest.map(f32::from_bits));
         let z = z + Vec4::new(0.0, 1.0, 2.0, 3.0);
         for (number, triangle) in (index as u32..).zip(triangles) {
@@ -150,8 +151,8 @@ impl Band {
         *nearest = numbers.to_array().map(f32::to_bits);
     }
 
-    /// The leaf with the coordinates `at`, counted in leaves, if one of its voxels is in the band.
-    /// Forgets the distances of its voxels.
+    /// Returns the leaf with the coordinates `at`, counted in leaves, if one of its voxels is in
+    /// the band. Resets the distances of its voxels.
     fn leaf(&mut self, block: IVec3, at: [usize; 3]) -> Option<Leaf> {
         const WITHIN: &str = "a leaf is in its block";
         let [x, y, z] = at.map(|at| at * EDGE);

@@ -32,7 +32,7 @@ pub const VOXELS: usize = (LEAF * LEAF * LEAF) as usize;
 /// Number of voxels along the edge of a block.
 const BLOCK: i32 = 64;
 /// Number of voxels from the first voxel of block 0 to the lattice's origin. Tanks often begin at
-/// the origin, so that many triangles would be near two blocks if a block began there.
+/// the origin; if a block began there, many triangles would be near two blocks.
 const SHIFT: i32 = LEAF;
 /// Upper limit, in voxels, on the magnitude of vertex coordinates. With this limit, differences
 /// between coordinates fit into an i32.
@@ -84,7 +84,7 @@ pub fn place_in_leaf(i: usize) -> IVec3 {
     IVec3::new(i / (LEAF * LEAF), i / LEAF % LEAF, i % LEAF)
 }
 
-/// The nearest point of a triangle to a voxel.
+/// The point of a triangle that is nearest to a voxel.
 #[derive(Debug, Clone, Copy)]
 pub struct NearestPoint {
     /// The vertices of the triangle.
@@ -130,7 +130,7 @@ impl LevelSet {
         Ok(Self { positions, triangles })
     }
 
-    /// The nearest point of a triangle to a voxel.
+    /// The point of a triangle that is nearest to a voxel.
     pub fn nearest_point(&self, triangle: u32, voxel: IVec3) -> NearestPoint {
         let corners = self.triangles[triangle as usize];
         let from_voxel = |vertex| self.position(vertex) - voxel.as_dvec3();
@@ -217,9 +217,10 @@ fn each_block_near([a, b, c]: [DVec3; 3], mut take: impl FnMut(IVec3)) {
         return take(low);
     }
     let normal = (b - a).cross(c - a);
-    // Half the extent along the normal of a block that is enlarged by the margin on each side.
+    // Half the extent, along the normal, of a block that is enlarged by the margin on each side.
     let extent = normal.abs().element_sum() * (f64::from(BLOCK) / 2.0 + MARGIN);
-    // The normal of a triangle whose corners are almost on a line has no correct digits.
+    // The test allows for the error of the normal, because the normal of a triangle whose corners
+    // are almost on a line has no correct digits.
     let error = NORMAL_ERROR * (b - a).length() * (c - a).length();
     let is_near = |block: IVec3| {
         let from_corner = (first_voxel(block) + BLOCK / 2).as_dvec3() - a;
@@ -401,7 +402,7 @@ mod tests {
             let level_set = LevelSet::new(&tiled_box(low, size), lattice).unwrap();
             let (low, size) = (DVec3::from(low), DVec3::from(size.map(f64::from)));
             let mut checked = 0;
-            // Blocks share their memory with the blocks before.
+            // Each block reuses the memory of the blocks before it.
             for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
                 for i in 0..VOXELS {
                     let at = leaf.corner + place_in_leaf(i);

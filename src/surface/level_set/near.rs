@@ -24,15 +24,15 @@ pub struct NearTriangles {
     numbering: Numbering,
     /// The position of each vertex.
     places: Vec<DVec3>,
-    /// The sum of the normals of the triangles around each vertex, and their number. NaN if one of
-    /// them is too flat.
+    /// For each vertex, the sum of the normals of the triangles around it, and the number of these
+    /// triangles. NaN if one of the triangles is too flat.
     normals: Vec<Vec4>,
     /// The [`spread`](Self::spread) of each vertex.
     spreads: Vec<f32>,
 }
 
 impl NearTriangles {
-    /// Forgets all triangles, and makes room for a number of triangles.
+    /// Forgets all triangles, and prepares for this number of new ones.
     pub fn clear(&mut self, triangles: usize) {
         self.numbering.clear(triangles);
         self.places.clear();
@@ -40,7 +40,7 @@ impl NearTriangles {
         self.triangles.clear();
     }
 
-    /// Adds a triangle of the mesh. Returns the block's numbers of its vertices.
+    /// Adds a triangle of the mesh. Returns the numbers that its vertices have in the block.
     pub fn add(
         &mut self,
         vertices: [u32; 3],
@@ -79,7 +79,7 @@ impl NearTriangles {
         for normal in &mut self.normals {
             *normal /= normal.w;
         }
-        // First, the greatest squared distance of a normal from the mean normal.
+        // First, compute the greatest squared distance of a normal from the mean normal.
         self.spreads.clear();
         self.spreads.resize(self.normals.len(), 0.0);
         for triangle in &self.triangles {
@@ -87,7 +87,7 @@ impl NearTriangles {
             for corner in triangle.corners {
                 let apart = normal.distance_squared(self.normals[corner as usize]);
                 let most = &mut self.spreads[corner as usize];
-                // NaN is kept.
+                // This keeps NaN.
                 *most = if apart <= *most { *most } else { apart };
             }
         }
@@ -98,10 +98,11 @@ impl NearTriangles {
         }
     }
 
-    /// The tangent of an angle. If a vertex is the nearest point of a voxel outside the mesh, the
-    /// direction from the vertex to the voxel is within this angle of the normal of one of the
-    /// triangles around the vertex; inside the mesh, the opposite direction is. Infinite if normals
-    /// can differ by 90 degrees or more.
+    /// The tangent of an angle that limits the directions from a vertex to voxels. If the vertex is
+    /// the point of the mesh that is nearest to a voxel outside, the direction from the vertex to
+    /// the voxel is within this angle of the normal of a triangle around the vertex. For a voxel
+    /// inside the mesh, the opposite direction is. The tangent is infinite if the normals can
+    /// differ by 90 degrees or more.
     ///
     /// Such a direction is a sum of the normals with positive weights, so it passes through the
     /// convex hull of the normals. No point of the hull is farther from the nearest normal than the
@@ -122,7 +123,7 @@ impl NearTriangles {
     }
 }
 
-/// A hash table with the block's number of each vertex.
+/// A hash table that maps vertices of the mesh to their numbers in the block.
 #[derive(Debug, Default)]
 struct Numbering {
     /// Pairs of a vertex of the mesh, or [`EMPTY`], and its number in the block.
@@ -130,8 +131,8 @@ struct Numbering {
 }
 
 const EMPTY: u32 = u32::MAX;
-/// Number of consecutive vertices of the mesh that have consecutive slots, because consecutive
-/// vertices are often looked up together.
+/// Number of consecutive vertices of the mesh that have consecutive slots. Such vertices are often
+/// looked up together.
 const RUN: usize = 16;
 
 impl Numbering {
@@ -141,7 +142,7 @@ impl Numbering {
         self.slots.resize((triangles * 4).next_power_of_two().max(RUN), [EMPTY; 2]);
     }
 
-    /// The number of a vertex, which becomes `next` if the vertex has no number.
+    /// Returns the number of a vertex. If it has none yet, assigns it `next`.
     fn number(&mut self, vertex: u32, next: u32) -> u32 {
         let mask = self.slots.len() - 1;
         let group = u64::from(vertex) / RUN as u64;

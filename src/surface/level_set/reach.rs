@@ -1,17 +1,18 @@
 //! The voxels to which a triangle can be nearest.
 //!
-//! If a point of a triangle is the nearest point of a voxel, the line through both is parallel to
-//! the triangle's normal, or, at an edge or a vertex, within an angle of the normal of one of the
-//! triangles around it. So the voxel is near the line through the point along the normal.
+//! Let a point of a triangle be the point of the mesh that is nearest to a voxel. The line through
+//! the point and the voxel is then parallel to the triangle's normal. At an edge or a vertex, it is
+//! only within some angle of the normal of one of the triangles around the edge or vertex. So the
+//! voxel is near the line that passes through the point along the normal.
 
 use glam::{IVec3, Vec3A, Vec4};
 
 use super::near::{NearTriangle, NearTriangles};
 use super::{BAND, BLOCK};
 
-/// Number of voxels that are compared at once. They are neighbours along z.
+/// Number of voxels that a triangle is compared with at once. They are neighbours along z.
 pub const TOGETHER: usize = 4;
-/// Added to limits on distances, in voxels, because they are rounded.
+/// A margin, in voxels, added to limits on distances because distances are rounded.
 pub const ROUNDING: f32 = 1e-3;
 
 /// The voxels of a block, within the band, to which one of a few triangles can be nearest.
@@ -33,16 +34,16 @@ pub struct Reach {
     /// The tangent of the greatest angle between the normal and the direction from the triangles to
     /// a voxel.
     spread: f32,
-    /// The greatest distance between a voxel and the line through its nearest point along the
-    /// normal.
+    /// The greatest distance of a voxel from the line that passes along the normal through the
+    /// voxel's nearest point.
     aside: f32,
 }
 
 impl Reach {
-    /// `None` if the triangles are nearest to no voxel of the block. If there are several, they
-    /// must be nearly parallel.
+    /// Returns `None` if the triangles are nearest to no voxel of the block. Several triangles must
+    /// be nearly parallel.
     pub fn of(near: &NearTriangles, triangles: &[NearTriangle]) -> Option<Self> {
-        // Large coordinates would lose digits that matter.
+        // Large coordinates are clamped, because they would lose digits that matter.
         let [least, most] = [-2.0 * BAND, BLOCK as f32 + 2.0 * BAND].map(Vec3A::splat);
         let (mut low, mut high) = (most, least);
         let (mut spread, mut normal) = (0.0, Vec3A::ZERO);
@@ -116,21 +117,21 @@ impl Reach {
         count
     }
 
-    /// The heights above the plane that are possible at a coordinate, out of a range of heights.
+    /// The part of a range of heights above the plane that is possible at the coordinate `at`.
     fn heights(&self, [low, high]: [f32; 2], axis: usize, at: i32) -> [f32; 2] {
         let middle = (at as f32 - self.centre[axis]) * self.inverse[axis];
         let half = (self.half[axis] + self.across[axis] * self.aside) * self.inverse[axis].abs();
         [greater(middle - half, low), less(middle + half, high)]
     }
 
-    /// The squared distance of a coordinate from the triangles' bounding box.
+    /// The squared distance of the coordinate `at` from the triangles' bounding box.
     fn squared_beyond(&self, axis: usize, at: i32) -> f32 {
         let beyond = greater((at as f32 - self.centre[axis]).abs() - self.half[axis], 0.0);
         beyond * beyond
     }
 
-    /// The coordinates that are possible in a range of heights, and with a squared distance of at
-    /// most `left` from the triangles' bounding box.
+    /// The coordinates that are possible for heights from `low` to `high`, within a squared
+    /// distance of `left` from the triangles' bounding box.
     fn range(&self, [low, high]: [f32; 2], axis: usize, left: f32) -> [i32; 2] {
         let aside = less(self.spread * greater(-low, high), BAND);
         let middle = self.centre[axis] + (low + high) / 2.0 * self.normal[axis];
@@ -145,7 +146,7 @@ impl Reach {
     }
 }
 
-/// The least whole number that is greater than a number, and at least 0.
+/// The least whole number that is greater than `at` and not negative.
 fn end(at: f32) -> i32 {
     (at + 1.0).max(0.0) as i32
 }

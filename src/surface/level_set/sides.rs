@@ -2,10 +2,10 @@
 //!
 //! A column is a line of voxels along z. The side changes where the column crosses a triangle.
 //! Crossings are found in integers, and each column counts as shifted by an infinitely small step,
-//! so that a column crosses an edge or a vertex exactly as often as it crosses the surface there.
-//! Columns without crossings get their side from neighbouring columns, or from a triangle that one
-//! of their voxels sees. Where the mesh passes through itself, columns can contradict each other;
-//! then the majority decides.
+//! so that a column crosses an edge or a vertex exactly as often as it crosses the surface there. A
+//! column without crossings gets its side from a neighbouring column, or from a triangle that is
+//! visible from one of its voxels. Where the mesh passes through itself, columns can contradict
+//! each other; then the majority decides.
 
 use std::ops::RangeInclusive;
 
@@ -20,8 +20,8 @@ use super::{BAND, BLOCK};
 /// Number of bits after the binary point of a [`Place`].
 const FRACTION: u32 = 20;
 /// Added to a coordinate before it is rounded, because converting a positive number to an integer
-/// rounds down without a function call. Where the sum is negative, it is rounded up, which is as
-/// good, because all triangles of a block round a vertex in the same way.
+/// rounds down without a function call. A negative sum is rounded up. That is just as good, because
+/// all triangles of a block round a vertex in the same way.
 const OFFSET: i64 = 1 << (52 - FRACTION);
 /// Number of columns along the edge of a block, and of voxels in a column.
 const EDGE: usize = BLOCK as usize;
@@ -36,7 +36,7 @@ const DEEP: f32 = APART * APART / 4.0;
 const ON_SURFACE: f32 = 1e-10;
 /// The length, in voxels, by which a line of sight ends inside a triangle instead of at its edge.
 const INWARDS: f64 = 0.1;
-/// Number of bits for the number of entries at a step.
+/// Number of bits in which the entries at a step are counted.
 const COUNT_BITS: usize = 3;
 
 /// The coordinates x and y of a vertex, in multiples of 2^-[`FRACTION`] voxels.
@@ -44,10 +44,11 @@ type Place = [i64; 2];
 
 /// For each column of a block, with y varying fastest, words in which bit z stands for voxel z.
 pub struct Sides {
-    /// For each step from voxel z - 1 to voxel z, the number of entries minus the number of exits,
-    /// in two's complement: its bits, with the lowest bit first.
+    /// For each step from voxel z - 1 to voxel z, the number of times that the column enters the
+    /// mesh minus the number of times that it leaves the mesh. This number is in two's complement;
+    /// each vector has one of its bits, and the first vector the lowest.
     entries: [Vec<u64>; COUNT_BITS],
-    /// Whether each voxel is inside; 0 for columns that are not known.
+    /// Whether each voxel is inside; 0 for columns whose sides are not known.
     inside: Vec<u64>,
     /// Whether the sides of a column's voxels are known.
     is_known: Vec<bool>,
@@ -134,8 +135,8 @@ impl Sides {
         self.settle(squared);
     }
 
-    /// For each voxel of a column, a bit that says whether it is inside. The order is that of
-    /// [`Sides`].
+    /// A bit for each voxel of a column: whether the voxel is inside. Columns and bits are ordered
+    /// as in [`Sides`].
     pub fn inside(&self, column: usize) -> u64 {
         self.inside[column]
     }
@@ -150,8 +151,8 @@ impl Sides {
         self.steps(column) != 0
     }
 
-    /// The sides of a column in which the least winding number is `least`. A voxel is inside if its
-    /// winding number is positive.
+    /// The sides of a column's voxels if the least winding number in the column is `least`. A voxel
+    /// is inside if its winding number is positive.
     fn crossed(&self, column: usize, least: i32) -> u64 {
         let steps = self.steps(column);
         let change = |z: usize| {
@@ -206,8 +207,8 @@ impl Sides {
         }
     }
 
-    /// Passes a side from a column to a neighbour that crosses no triangle, at two voxels between
-    /// which the surface cannot be.
+    /// Passes the side of a column on to a neighbour that crosses no triangle, if the surface
+    /// cannot pass between two adjacent voxels of the columns.
     fn pass(&mut self, from: usize, to: usize, squared: &[f32]) {
         if self.is_known[from] && !self.is_known[to] {
             let distance = |column: usize, z: usize| squared[column * EDGE + z].sqrt();
@@ -243,8 +244,9 @@ impl Sides {
         }
     }
 
-    /// The sides of deep voxels: for each set of connected deep voxels, the side on which most of
-    /// its voxels in crossed columns are, or, if there are none, on which most of its voxels are.
+    /// The sides of deep voxels. All voxels of a connected set get the same side: the side on which
+    /// most of the set's voxels in crossed columns are, or, if these do not decide, on which most
+    /// of all its voxels are.
     fn vote(&self, deep: &[u64]) -> Vec<u64> {
         let mut voted = vec![0; EDGE * EDGE];
         let mut left = deep.to_vec();
@@ -256,7 +258,8 @@ impl Sides {
                 connected.clear();
                 connected.push([column / EDGE, column % EDGE, z]);
                 let mut next = 0;
-                // More votes for the inside than for the outside, of all and of crossed columns.
+                // The votes for the inside minus those for the outside: of all voxels, and of those
+                // in crossed columns.
                 let (mut all, mut of_crossed) = (0, 0);
                 while let Some(&at) = connected.get(next) {
                     next += 1;
@@ -298,9 +301,9 @@ impl Sides {
     }
 }
 
-/// Whether a column that crosses no triangle is inside, from the first triangle on a line of sight
-/// between one of its voxels in the band and the nearest triangle of this voxel. `None` if there is
-/// no such voxel.
+/// Whether a column that crosses no triangle is inside the mesh. A line of sight goes from one of
+/// the column's voxels in the band to the triangle that is nearest to this voxel. The first
+/// triangle on this line tells the side. Returns `None` if there is no such voxel.
 fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles) -> Option<bool> {
     let mut voxels = column * EDGE..(column + 1) * EDGE;
     let voxel = voxels.find(|&voxel| (ON_SURFACE..BAND * BAND).contains(&squared[voxel]))?;
@@ -311,7 +314,7 @@ fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles
     let [share_a, share_b, share_c] = shares([a, b, c]).map(f64::from);
     let point = a * share_a + b * share_b + c * share_c;
     let inwards = (a + b + c) / 3.0 - point;
-    // An edge could be missed because of rounding errors.
+    // The line must not end on an edge, which it could miss because of rounding errors.
     let to = point + inwards * (INWARDS / inwards.length()).min(1.0);
     let hits = near.triangles.iter().filter_map(|triangle| {
         let [a, b, c] = places(triangle.corners);
@@ -332,7 +335,8 @@ fn rounded(at: DVec3) -> Place {
     [round(at.x), round(at.y)]
 }
 
-/// The columns of a block whose coordinate is between those of three places.
+/// The columns of a block whose coordinate is between the least and the greatest of three
+/// coordinates.
 fn columns(a: i64, b: i64, c: i64) -> RangeInclusive<i64> {
     let first = ((a.min(b).min(c) - 1) >> FRACTION) + 1;
     let last = a.max(b).max(c) >> FRACTION;

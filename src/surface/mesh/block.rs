@@ -89,7 +89,8 @@ impl BlockLevel {
             return TileLevels::default();
         }
         let place = local_from_morton(tile.index as usize);
-        // Along these axes, the upper corners of the last dual cells are in the next block.
+        // Along an axis where this is true, the upper corners of the last dual cells are in the
+        // next block.
         let at_end = place.to_array().map(|along| along == BLOCK / TILE - 1);
         let in_block = |corner: usize, block: usize| {
             (0..3).fold(!0, |cells: TileMask, axis| {

@@ -12,8 +12,9 @@ use rayon::prelude::*;
 
 /// Number of triangles in a leaf, and of children of a node.
 const WIDTH: usize = 8;
-/// The margin of a disc, as a share of its size, and the share by which the squared distance from
-/// a disc is reduced, because rounding to f32 changes a disc's size and the length of its normal.
+/// The margin of a disc, as a share of its size. The squared distance from a disc is reduced by the
+/// same share. Both are needed because rounding to f32 changes a disc's size and the length of its
+/// normal.
 const DISC_MARGIN: f64 = 1e-5;
 /// Maximum number of nodes in a [`Vicinity`].
 const MOST_IN_VICINITY: usize = 128;
@@ -110,7 +111,7 @@ impl BoxTree {
         self.levels.len() - 1
     }
 
-    /// The result of a search that found `best`, a squared distance and a place in the order.
+    /// Turns the best find of a search, a squared distance and a place in the order, into a result.
     fn found(&self, (squared, place): (f64, usize)) -> Option<(f64, usize)> {
         (place < usize::MAX).then(|| (squared, self.order[place] as usize))
     }
@@ -150,8 +151,8 @@ impl BoxTree {
         }
     }
 
-    /// The part of the tree within the distance `most` of the box from `lo` to `hi`, in which many
-    /// searches are faster than in the whole tree.
+    /// The part of the tree within the distance `most` of the box from `lo` to `hi`. If there are
+    /// many searches near this box, they are faster in this part than in the whole tree.
     pub fn vicinity(&self, lo: DVec3, hi: DVec3, most: f64) -> Vicinity<'_> {
         let within = [lo.to_array(), hi.to_array()];
         let squared_most = most * most;
@@ -241,7 +242,7 @@ impl Vicinity<'_> {
                 }
             }
         }
-        // The nearest node first, so that most others are too far.
+        // Search the nearest node first, so that most other nodes are then too far away.
         let mut search = |number: usize, squared: f64| {
             if squared < best.0 {
                 self.tree.search(self.level, self.nodes[number] as usize, point, &mut best);
@@ -360,7 +361,7 @@ type Item = ([f32; 4], u32);
 
 /// The numbers of the triangles `0..count`, in the order of the leaves.
 fn sorted(count: usize, corners: &(impl Fn(usize) -> [DVec3; 3] + Sync)) -> Vec<u32> {
-    // Half of each coordinate, because the size could overflow.
+    // Coordinates are halved, because the size could overflow.
     let bounds = |number: usize| {
         let [a, b, c] = corners(number).map(|corner| corner / 2.0);
         [a.min(b).min(c), a.max(b).max(c)]
@@ -433,7 +434,7 @@ fn squared_distances(node: &Node, point: [f64; 3]) -> Lanes {
             or_zero(greater(below[1], above[1])),
             or_zero(greater(below[2], above[2])),
         ];
-        // Without a margin for rounding: if many triangles meet at the nearest point, a search
+        // There is no margin for rounding: if many triangles meet at the nearest point, a search
         // with a margin would visit them all.
         let from_box = dot(outside, outside);
         let from_centre = minus(point, at_lane(&node.centre, lane));
@@ -464,14 +465,15 @@ fn at_lane<T: Copy + Into<f64>>(at: &[[T; WIDTH]; 3], lane: usize) -> [f64; 3] {
     [at[0][lane].into(), at[1][lane].into(), at[2][lane].into()]
 }
 
-/// The squared distance of a point from a triangle: the least of the squared distances from its
-/// edges, and from the point of the triangle that is below the point if there is one.
+/// The squared distance of a point from a triangle. This is the least of the squared distances from
+/// the edges and, if the point's projection onto the plane is in the triangle, from this
+/// projection.
 #[inline(always)]
 pub fn squared_distance(point: [f64; 3], [a, b, c]: [[f64; 3]; 3]) -> f64 {
     let (ab, bc, ca) = (minus(b, a), minus(c, b), minus(a, c));
     let (ap, bp, cp) = (minus(point, a), minus(point, b), minus(point, c));
     let edges = least(least(to_edge(ab, ap), to_edge(bc, bp)), to_edge(ca, cp));
-    // Barycentric coordinates, times the square of the normal. The distance is from a point of the
+    // Barycentric coordinates, times the squared length of the normal. They describe a point of the
     // triangle even if rounding makes the normal of a narrow triangle useless.
     let normal = cross(ca, ab);
     let of_a = or_zero(dot(cross(bc, bp), normal));
@@ -495,7 +497,7 @@ pub enum Place {
     Face,
 }
 
-/// The nearest point of a triangle: its squared distance, its position and its place.
+/// The point of a triangle nearest to `point`: its squared distance, its position and its place.
 pub fn nearest_place(point: DVec3, [a, b, c]: [DVec3; 3]) -> (f64, DVec3, Place) {
     let mut nearest = (f64::INFINITY, a, Place::Face);
     let mut note = |at: DVec3, place: Place| {

@@ -305,7 +305,7 @@ fn duplicate_positions(positions: &[[f64; 3]]) -> Defects<usize> {
 }
 
 impl fmt::Display for CheckReport {
-    /// One line per property, and one per defect.
+    /// Writes one line per property, and one per defect.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let topology = &self.topology;
         writeln!(
@@ -364,7 +364,8 @@ impl Stars {
         for &vertex in sound().flatten() {
             ends[vertex as usize] += 1;
         }
-        // Counts become starts, and starts become ends while the stars are filled.
+        // `ends` has counts, which become starts. While the stars are filled, the starts become
+        // ends.
         let mut total = 0;
         for end in &mut ends {
             total += std::mem::replace(end, total);

@@ -89,8 +89,8 @@ pub fn compare(reference: &Mesh, mesh: &Mesh) -> Result<Comparison, CompareError
 pub struct SearchableSurface {
     tree: TriangleTree,
     stars: Stars,
-    /// The [pseudo-normal](Self::pseudo_normal) of each vertex. They are computed once, because a
-    /// vertex with thousands of triangles may be nearest to many samples.
+    /// The [pseudo-normal](Self::pseudo_normal) of each vertex. Pseudo-normals are computed once,
+    /// because a vertex with thousands of triangles may be nearest to many samples.
     at_vertices: Vec<DVec3>,
     /// Cumulative areas of the triangles.
     area_up_to: Vec<f64>,

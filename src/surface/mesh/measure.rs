@@ -31,7 +31,7 @@ pub const ANGLE_CLASSES: usize = 12;
 /// The result of [`measure`]. Triangles with a missing or repeated vertex are ignored.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Measures {
-    /// Minimum and maximum corner of the vertices that triangles use; `None` for an empty mesh.
+    /// The corners of the box around all vertices that triangles use; `None` for an empty mesh.
     pub bounds: Option<[[f64; 3]; 2]>,
     /// The area of all triangles, in squared units of length.
     pub area: f64,
@@ -97,7 +97,7 @@ fn sound(mesh: &Mesh) -> impl Iterator<Item = [u32; 3]> {
     mesh.triangles.iter().copied().filter(|&triangle| is_sound(triangle, mesh.positions.len()))
 }
 
-/// Minimum and maximum corner of the vertices that sound triangles use.
+/// The corners of the box around all vertices that sound triangles use.
 fn bounds(mesh: &Mesh) -> Option<[DVec3; 2]> {
     let used = sound(mesh).flatten().map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
     used.map(|p| [p, p]).reduce(|[low, high], [p, _]| [low.min(p), high.max(p)])

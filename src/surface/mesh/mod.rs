@@ -36,7 +36,8 @@ pub struct VertexAttribute {
 }
 
 impl VertexAttribute {
-    /// A floating-point attribute: a colour if `name` is that of a colour, otherwise plain numbers.
+    /// A floating-point attribute: a colour if `name` is the name of a colour, otherwise plain
+    /// numbers.
     #[must_use]
     pub fn new(name: impl Into<String>, components: usize, values: Vec<f32>) -> Self {
         let without = Self::without_values(AttributeInfo::new(name, components));

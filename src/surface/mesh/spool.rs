@@ -187,7 +187,7 @@ impl Spool {
         vertex_bytes(self.normals, &self.components)
     }
 
-    /// Moves all surfaces to a scratch file in `folder`, to which later surfaces are added.
+    /// Moves all surfaces to a scratch file in `folder`. Later surfaces are added to the same file.
     ///
     /// # Errors
     /// If the scratch file cannot be created or written.

@@ -141,8 +141,8 @@ impl TriangleTree {
         NearTriangles { all: self, tree }
     }
 
-    /// Whether the box from `lo` to `hi` may meet a triangle: it meets the bounding box of a few
-    /// neighbouring triangles.
+    /// Whether the box from `lo` to `hi` meets the bounding box of a few neighbouring triangles.
+    /// Only then can it meet a triangle.
     #[must_use]
     pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         self.tree.meets(lo - self.origin, hi - self.origin)
@@ -224,7 +224,7 @@ fn squared_bound(most: f64) -> f64 {
     (most * (1.0 + 1e-9)).powi(2) + f64::MIN_POSITIVE
 }
 
-/// The distance and the triangle of a search, if the distance is at most `most`.
+/// The distance and the triangle that a search found, if the distance is at most `most`.
 fn distance_within(most: f64, nearest: Option<(f64, usize)>) -> Option<(f64, usize)> {
     let (squared, triangle) = nearest?;
     let distance = squared.sqrt();
@@ -245,7 +245,8 @@ fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
         let (low, high) = if rises { (from, to) } else { (to, from) };
         let share = (z - low.z) / (high.z - low.z);
         let at = low + (high - low) * share;
-        // Rounding must not move it beyond the ends, where the search would miss a triangle.
+        // Rounding must not move this position beyond the ends of the edge, because the search
+        // would then miss a triangle.
         let at = at.clamp(low.min(high), low.max(high));
         Some((at.y, at.x, if rises { 1 } else { -1 }))
     });

@@ -165,7 +165,7 @@ pub(super) fn linear([r, g, b]: [u8; 3]) -> Vec3 {
     Vec3::new(light(r), light(g), light(b))
 }
 
-/// Distance, in pixels, between computed points.
+/// Distance, in pixels, between the points at which a [`Sketch`] has computed values.
 const STEP: usize = 4;
 
 /// Radiance on a coarse grid of pixels, interpolated between the grid's points.

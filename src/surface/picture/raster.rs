@@ -275,7 +275,8 @@ impl Raster {
             return;
         }
         // A triangle that is clockwise in the picture is seen from inside: there, the line of sight
-        // leaves the fluid. The triangle's area is positive, because rows are counted downwards.
+        // leaves the fluid. The area of such a triangle is positive, because rows are counted
+        // downwards.
         let (b, c, area, leaves) = if area > 0 { (b, c, area, 1.0) } else { (c, b, -area, -1.0) };
         // For each edge: a value that is at least 0 if the first sample is inside, and its
         // increments to the right and down.

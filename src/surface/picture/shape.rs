@@ -271,7 +271,7 @@ impl<'a> Shape<'a> {
     }
 }
 
-/// Copies the data of pieces, on several threads, into an array, starting at index `first`; returns
+/// Copies the data of `pieces` into an array, from index `first` on, with several threads. Returns
 /// the end index.
 fn put<P: Sync, T: Copy + Send + Sync>(
     into: &mut [T],

@@ -1,9 +1,9 @@
 //! Collapses edges while the surface stays within the tolerance.
 //!
 //! Each step moves a vertex onto a neighbour, in order of increasing quadric error (Garland and
-//! Heckbert, Surface simplification using quadric error metrics, 1997). The mesh must stay a
-//! 2-manifold there (Dey et al., Topology preserving edge contraction, 1999), no triangle may turn
-//! over or become a sliver, and the distances between the two surfaces must stay within the
+//! Heckbert, Surface simplification using quadric error metrics, 1997). Around the vertex, the mesh
+//! must stay a 2-manifold (Dey et al., Topology preserving edge contraction, 1999), and no triangle
+//! may turn over or become a sliver. The distances between the two surfaces must stay within the
 //! tolerance in both directions.
 //!
 //! Every removed vertex of the reference has a closest triangle within the tolerance. When
@@ -39,8 +39,8 @@ const FLAT: f32 = 0.9;
 const STEADY: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
-/// Collapses are not tried if the root mean square distance from the planes is above this fraction
-/// of the tolerance.
+/// A vertex is not moved to a place whose root mean square distance from the planes of its quadric
+/// is above this fraction of the tolerance.
 const QUADRIC_SHARE: f32 = 0.9;
 /// Maximum rotation of a triangle in one collapse, as a cosine.
 const TURN: f32 = 0.2;
@@ -374,7 +374,7 @@ impl CollapseState<'_, '_> {
     }
 
     /// Moves a vertex onto the first vertex of its ring if this collapse is valid, and returns
-    /// whether it was.
+    /// whether it is valid.
     fn try_edge(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         let target = ring[0].rim;
         if !self.may_turn(target, ring)
@@ -478,8 +478,8 @@ impl CollapseState<'_, '_> {
         {
             return false;
         }
-        // Only one triangle would remain in this patch. This is not allowed, because other patches
-        // may have removed the other triangles of the part.
+        // Only one triangle of a part would remain in this patch. This is not allowed, because
+        // other patches may have removed the other triangles of the part.
         if ring.len() == 3
             && ring
                 .iter()

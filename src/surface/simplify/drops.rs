@@ -50,7 +50,7 @@ impl TooSmall {
 
 /// Finds the components of `surface`, including enclosed air, that are smaller than `volume`, and
 /// the drops that are smaller than `drop`. Both limits are volumes in cells. Returns the vertices
-/// of these components and drops, and their numbers.
+/// of these components and drops, and counts the components and drops.
 ///
 /// # Errors
 /// If scratch files cannot be read, or if the work was cancelled.
@@ -64,7 +64,7 @@ pub fn smaller_than(
     let meter = control.meter(Stage::Simplifying, 2 * pieces).between(0.0, MEASURING);
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
-    // Vertices of later blocks, each with a component that refers to it.
+    // Vertices of later blocks, each with the number of a component that uses it.
     let mut awaited: BTreeMap<u64, u32> = BTreeMap::new();
     in_batches(
         pieces,
@@ -118,7 +118,8 @@ pub fn smaller_than(
     Ok((vertices, found))
 }
 
-/// Maps all pieces on all threads, and consumes the results in order.
+/// Calls `make` for all pieces, on all threads, and then `take` with each result, in the order of
+/// the pieces.
 fn in_batches<T: Send>(
     pieces: usize,
     meter: &Meter<'_>,
@@ -150,7 +151,8 @@ struct PieceParts {
     parts: Vec<PartSums>,
     /// The part of each of the piece's vertices.
     part_of: Vec<u32>,
-    /// Vertices of other pieces, each with a part that refers to it.
+    /// Vertices that belong to other pieces. Each is paired with the number of a part of this piece
+    /// that uses it.
     beyond: Vec<(u64, u32)>,
 }
 

@@ -133,8 +133,8 @@ impl<'a> EditableMesh<'a> {
             .collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
         let mut spots = vec![VertexState::NOWHERE; positions.len()];
-        // For each vertex, the end of the last edge that was found to start there, and the triangle
-        // of that edge.
+        // For each vertex, the latest edge that was found to start there: the edge's end and its
+        // triangle.
         let mut slots = vec![(NONE, NONE); positions.len()];
         for vertex in 0..positions.len() as u32 {
             let edges = outgoing.at(vertex);
@@ -166,7 +166,8 @@ impl<'a> EditableMesh<'a> {
         self.spots[vertex as usize]
     }
 
-    /// The normal of the triangle in the state of a vertex; `None` for an unused vertex.
+    /// The normal of the triangle to which the state of a vertex refers; `None` for an unused
+    /// vertex.
     pub fn normal_of(&self, spot: VertexState) -> Option<Vec3A> {
         self.normals.get(spot.triangle() as usize).copied()
     }
@@ -404,8 +405,8 @@ impl<'a> EditableMesh<'a> {
         for incident in [ring[0], ring[last]] {
             self.triangles[incident.triangle as usize] = [NONE; 3];
         }
-        // A border vertex keeps its first triangle. If another triangle replaces it, the vertex
-        // takes the replacement.
+        // A border vertex keeps its first triangle. If this triangle vanishes, the vertex takes the
+        // triangle that replaces it.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
             let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);
@@ -491,7 +492,7 @@ pub fn squared_near(
     }
     let mut least = f32::INFINITY;
     for [from, to] in [[a, b], [b, c], [c, a]] {
-        // The projection is outside this side.
+        // True if the projection of the point is outside this side.
         if cross(from, to).dot(normal) <= 0.0 {
             let ahead = to - from;
             let along = (-from.dot(ahead) / ahead.length_squared()).clamp(0.0, 1.0);

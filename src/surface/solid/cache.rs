@@ -157,7 +157,7 @@ mod tests {
         const MOST_BYTES: u64 = 1 << 20;
         let cache = DistanceCache::new(MOST_BYTES);
         let new = RefCell::new(Vec::new());
-        // The cubes that had to be made.
+        // The cubes whose distances had to be computed.
         let of = |level: u32, cubes: &[i32]| {
             new.borrow_mut().clear();
             let number = cache.number(&lattice(level));

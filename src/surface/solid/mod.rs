@@ -6,8 +6,8 @@
 //! from the nearest point on any triangle.
 //!
 //! A distance depends only on the cell, not on the box of cells in a request. Cells are processed
-//! in cubes of 4^3, and the distance of a cube's centre bounds the search for its cells. The
-//! distances of recently used cubes are kept.
+//! in cubes of 4^3. The distance of a cube's centre limits the searches for the distances of its
+//! cells. The distances of recently used cubes are kept.
 //!
 //! In a periodic box, a solid repeats as the fluid does: it has copies one box width away along
 //! each periodic axis.
@@ -29,10 +29,9 @@ use super::mesh::Mesh;
 use super::mesh::tree::{CompareError, Side, TriangleTree, origin_on};
 use cache::{CELLS, CubeDistances, DistanceCache, DistanceLattice};
 
-/// Number of cells along the edge of the cubes for which a search finds out whether a triangle is
-/// near.
+/// Edge, in cells, of the cubes that are tested as a whole for nearby triangles.
 const WIDE: i32 = 4 * TILE;
-/// Upper limit, in bytes per triangle, on the memory that making a solid takes. It is reached if
+/// Upper limit, in bytes per triangle, on the memory that building a solid takes. It is reached if
 /// no two triangles share a vertex.
 const TRIANGLE_BYTES: u64 = 280;
 
@@ -280,12 +279,12 @@ impl PlacedMesh<'_> {
         self.mesh.meets(lo - self.shift, hi - self.shift)
     }
 
-    /// Whether the mesh winds around a place.
+    /// Whether the mesh has a nonzero winding number around a place.
     fn winds(&self, place: DVec3) -> bool {
         self.winds_around(place - self.shift)
     }
 
-    /// Whether the mesh winds around a place that is not displaced.
+    /// Like [`winds`](Self::winds), for a place in the mesh's own coordinates, without `shift`.
     fn winds_around(&self, place: DVec3) -> bool {
         self.mesh.winding_number(place) != 0
     }
@@ -335,8 +334,8 @@ impl PlacedMesh<'_> {
 }
 
 /// Whether each cell of a cube is inside a mesh. `distances` are the cells' distances from the
-/// mesh, and `is_inside` decides for a cell. Cells are `width` wide. No triangle is between a cell
-/// and its neighbour if the distance of either is larger than `width`.
+/// mesh, and `is_inside` finds the answer for a single cell. Cells are `width` wide. No triangle is
+/// between a cell and its neighbour if the distance of either is larger than `width`.
 fn are_inside(
     distances: &[f64; CELLS],
     width: f64,
@@ -411,7 +410,7 @@ fn number([high, low]: [u64; 2]) -> u128 {
     u128::from(high) << 64 | u128::from(low)
 }
 
-/// The edges at which a mesh is not closed.
+/// The fault of a mesh that is not closed, with the number of its bad edges.
 fn fault_of(mesh: &Mesh) -> SolidFault {
     // Vertices with the same position are the same vertex.
     let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();

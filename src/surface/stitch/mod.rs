@@ -188,7 +188,7 @@ impl StitchedSurface {
         block.tiles.iter().map(of_tile).sum::<f64>() * edge * edge
     }
 
-    /// The first of the finest blocks in each piece, in Morton order.
+    /// For each piece, the first of its finest blocks in Morton order.
     pub fn blocks(&self) -> impl Iterator<Item = IVec3> + '_ {
         self.spool.blocks().map(|(block, level)| level.first_block(block))
     }

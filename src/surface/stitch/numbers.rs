@@ -1,4 +1,4 @@
-//! Numbers of the vertices on a block's dual edges, and the triangles between them.
+//! Numbers of the vertices on a block's dual edges, and the triangles between these vertices.
 
 use std::borrow::Cow;
 use std::io;
@@ -35,8 +35,8 @@ pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
 /// The numbers of the vertices on the dual edges that a block's triangles use. Other entries are
 /// undefined.
 pub(super) struct VertexNumbers {
-    /// Three numbers per cell, one for the dual edge along each axis that starts there, with x
-    /// varying fastest.
+    /// Three vertex numbers per cell, one for each dual edge that starts at the cell: along x, y
+    /// and z. From cell to cell, x varies fastest.
     numbers: Vec<u64>,
 }
 

@@ -34,7 +34,7 @@ impl<T: Pod> Lists<T> {
         self.bytes
     }
 
-    /// Moves all lists to a scratch file in `folder`, to which later lists are added too.
+    /// Moves all lists to a scratch file in `folder`. Later lists are added to the same file.
     ///
     /// # Errors
     /// If the file cannot be created or written.
