@@ -267,7 +267,7 @@ fn shell_word(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
 }
 
-/// The option to suggest when particles are missing from the surface.
+/// The option to suggest when particles are outside the surface.
 fn on_lost(smoothed: bool) -> &'static str {
     if smoothed { "--indicator cloud" } else { "--cell" }
 }

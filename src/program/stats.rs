@@ -18,7 +18,7 @@ pub struct MeshStats<'a> {
     /// Number of vertices, number of triangles, and size, in bytes, of the mesh file.
     pub counts: [u64; 3],
     pub stages: &'a Timings,
-    /// Lower bound on the number of particles that are missing from the surface.
+    /// Lower bound on the number of particles outside the surface.
     pub lost: u64,
 }
 

@@ -101,7 +101,7 @@ pub enum Warning {
     BeyondWall(BeyondWall),
     /// The fluid ends shortly before a wall of the domain.
     BeforeWall(GapAtWall),
-    /// Particles are missing from the surface.
+    /// Particles are outside the surface.
     Lost {
         /// Lower bound of the number of missing particles.
         lost: u64,
@@ -502,7 +502,7 @@ pub(crate) fn of_isovalue(
     })
 }
 
-/// A warning about particles that are missing from the surface, if there are many.
+/// A warning about particles outside the surface, if there are many.
 pub(crate) fn lost_warning(lost: u64, of: usize, smoothed: bool) -> Option<Warning> {
     (lost > FEW).then_some(Warning::Lost { lost, of, smoothed })
 }

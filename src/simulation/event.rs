@@ -119,7 +119,7 @@ pub struct FrameDone {
     pub time: Option<f64>,
     /// A report on the surface; `None` if the frame has no particles.
     pub report: Option<Report>,
-    /// Lower bound on the number of particles that are missing from the surface.
+    /// Lower bound on the number of particles outside the surface.
     pub lost: u64,
     /// Warnings about the frame.
     pub warnings: Vec<Warning>,

@@ -48,7 +48,7 @@ use crate::work::{Work, with_progress};
 /// periodic_mesh : "cut" or "overlap", optional
 ///     How the mesh ends at the faces of a periodic box.
 /// indicator : "cloud", "counting" or "symmetry", optional
-///     Rule that computes the value of a cell from its particles: "cloud" by default; the others
+///     Rule for computing the value of a cell from its particles: "cloud" by default; the others
 ///     are from the paper.
 /// mu0 : float, optional
 ///     Mean number of particles in non-empty cells, for counting.
