@@ -1,5 +1,5 @@
 //! with block mirror axis
-// One axis of a separable filter: (sum over taps of weight * sample + half) >> shift, at most 65535.
+// One axis of a separable filter: (sum over taps of weight * sample + half) >> shift, up to 65535.
 
 // The weight of the centre, then of the cells at distances 1, 2, ... on either side.
 @group(0) @binding(3) var<storage, read> half_weights: array<u32>;

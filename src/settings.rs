@@ -302,8 +302,8 @@ settings! {
     /// yu-turk methods [default: auto].
     ///
     /// auto is 0.47 times the value of the field deep inside the fluid. If the fluid is too shallow
-    /// to measure that value, meniscus computes it from the spacing. For mueller and
-    /// yu-turk, auto is 0.5.
+    /// to measure that value, meniscus computes it from the spacing. For mueller and yu-turk, auto
+    /// is 0.5.
     #[arg(
         value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface",
         hide_short_help = true

@@ -208,7 +208,8 @@ impl Periodic {
 
     /// Returns the position of a particle between the faces. A position on the upper face moves to
     /// the lower face. So does a position outside the box that equals a face after both are rounded
-    /// to f32. For any other position outside, `Err` names an axis along which it is outside.
+    /// to f32. For any other finite position outside, `Err` names an axis along which it is
+    /// outside. Coordinates that are not finite are returned unchanged.
     pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
         let [lo, hi] = self.faces.walls();
         let mut inside = world;

@@ -20,7 +20,7 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
         let what = if RESUMABLE.load(Ordering::Relaxed) {
             "finished frames are kept; --resume continues"
         } else {
-            "unfinished files were removed"
+            "no unfinished file remains"
         };
         super::notes::say(&format!("meniscus: interrupted; {what}"));
         std::process::exit(130);

@@ -31,7 +31,7 @@ pub(crate) struct Findings {
     pub(crate) calibration: Option<Calibration>,
     /// What was measured for the calibration; `None` if the caller supplied the calibration.
     pub(crate) measured: Option<MeasuredCalibration>,
-    /// Lower bound of the number of particles outside the surface.
+    /// Lower bound on the number of particles outside the surface.
     pub(crate) lost: u64,
     pub(crate) shortfall: Option<Shortfall>,
 }

@@ -141,7 +141,8 @@ fn forecast(
             None => (expected, None),
         });
     }
-    // With kernel methods, a sample of the blocks cannot be measured.
+    // Kernel methods have no indicator, so `sight` cannot tell which particles affect a sample of
+    // the blocks, and no sample is measured.
     let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);

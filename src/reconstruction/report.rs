@@ -36,7 +36,7 @@ pub struct Report {
     /// What was measured for the calibration; `None` if the caller supplied it, or for kernel
     /// methods.
     pub measured: Option<MeasuredCalibration>,
-    /// Lower bound of the number of particles outside the surface.
+    /// Lower bound on the number of particles outside the surface.
     pub lost: u64,
     /// Components that were left out; `None` if the mesh was not simplified and no limit was set.
     pub too_small: Option<TooSmall>,

@@ -103,7 +103,7 @@ pub enum Warning {
     BeforeWall(GapAtWall),
     /// Particles are outside the surface.
     Lost {
-        /// Lower bound of the number of missing particles.
+        /// Lower bound on the number of missing particles.
         lost: u64,
         /// Number of all particles.
         of: usize,
@@ -265,14 +265,14 @@ impl fmt::Display for Warning {
             Self::MissingAttribute { attribute, calibration_frame } => {
                 let known = calibration_frame.map_or_else(
                     || "the calibration frame".to_owned(),
-                    |frame| format!("calibration frame {frame}"),
+                    |frame| format!("frame {frame} (the calibration frame)"),
                 );
                 let is_velocity = attribute == "velocity";
-                let blur = if is_velocity { ", so the frame has no motion blur" } else { "" };
+                let blur = if is_velocity { " and has no motion blur" } else { "" };
                 write!(
                     f,
-                    "this frame has no attribute {attribute:?}, but {known} has it; the mesh of \
-                     this frame therefore has none{blur}"
+                    "this frame has no attribute {attribute:?}, but {known} has it; the mesh \
+                     therefore lacks it{blur}"
                 )
             }
             Self::Alpha { attribute, own, shared } => {

@@ -205,8 +205,8 @@ pub struct MissingFrames {
     pub frames: Vec<(i64, PathBuf)>,
 }
 
-/// A requested first or last frame that was not found: the existing frames begin after it, or end
-/// before it.
+/// A requested first or last frame that was not found: the existing frames begin at least one
+/// step after it, or end at least one step before it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum UnreachedEnd {

@@ -1963,7 +1963,7 @@ fn a_frame_that_lacks_the_velocity_of_other_frames_causes_a_warning() {
     let found = warnings("m_{}.ply");
     let [only] = &found[..] else { panic!("{found:?}") };
     assert!(only.starts_with("warning: f_2.csv: "), "{only}");
-    assert!(only.contains("\"velocity\", but calibration frame 1 has it"), "{only}");
+    assert!(only.contains("\"velocity\", but frame 1 (the calibration frame) has it"), "{only}");
     assert!(read_mesh(&folder.path().join("m_2.ply")).unwrap().attributes.is_empty());
     // This format stores no velocity in any frame.
     assert!(warnings("m_{}.obj").is_empty());

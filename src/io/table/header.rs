@@ -600,8 +600,8 @@ fn calls_x_otherwise(text: &str, fields: usize, first: Option<usize>) -> bool {
 /// identifier before the position is allowed if the position starts at the column `first`.
 ///
 /// Two names can be a title, such as `Material positions`, so they must account for all `fields`
-/// unless both are vectors. Names without a position, and names whose position is a single letter,
-/// such as `m r`, must also account for all `fields`.
+/// unless both are vectors. Names without a position must also account for all `fields`. So must
+/// names whose position is a single letter, such as `m r`, unless all of them are vectors.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;

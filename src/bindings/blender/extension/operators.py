@@ -119,7 +119,7 @@ class AddObject(bpy.types.Operator):
     """Add a live surface of the vertices or the point cloud of the active object"""
 
     bl_idname = "meniscus.add_object"
-    bl_label = "Fluid Surface of Vertices"
+    bl_label = "Fluid Surface from Vertices"
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod

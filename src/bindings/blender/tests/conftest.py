@@ -1,4 +1,4 @@
-"""Makes the extension's modules without Blender importable, and writes a sequence of frames."""
+"""Makes those modules importable that need no Blender, and writes a sequence of frames."""
 
 from __future__ import annotations
 

@@ -230,7 +230,7 @@ typedef struct MeniscusSummary {
   uint64_t missing;
   // Number of particles in the frames that were converted.
   uint64_t particles;
-  // Lower bound on the number of particles outside the surface.
+  // Lower bound on the number of particles outside the surfaces of all frames.
   uint64_t lost;
   // Duration, in seconds, of the conversion.
   double seconds;

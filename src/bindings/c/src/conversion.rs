@@ -99,7 +99,7 @@ pub struct MeniscusSummary {
     pub missing: u64,
     /// Number of particles in the frames that were converted.
     pub particles: u64,
-    /// Lower bound on the number of particles outside the surface.
+    /// Lower bound on the number of particles outside the surfaces of all frames.
     pub lost: u64,
     /// Duration, in seconds, of the conversion.
     pub seconds: f64,

@@ -31,7 +31,7 @@ def check(sentence: Callable[[], None]) -> Callable[[], None]:
 
 
 def count_making() -> None:
-    """From now on, appends the source of every surface that is computed to `made`."""
+    """From now on, appends to `made` the source of every computed surface."""
     make = extension.surfaces.request.Maker.make
 
     def counted(self: Any, request: Any) -> Any:
