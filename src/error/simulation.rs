@@ -116,7 +116,7 @@ pub enum SimulationError {
         /// The damage.
         what: String,
     },
-    /// Another conversion, with other settings, that writes to the same outputs.
+    /// A second conversion, with other settings, that writes to the same outputs.
     #[error(
         "{}: another conversion, with different settings, uses this output; wait until it ends, or \
          choose another output",

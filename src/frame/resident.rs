@@ -81,7 +81,7 @@ pub struct ResidentSurface {
     pub iso: Isovalue,
     /// The calibration of the surface, for the other frames of a simulation.
     pub calibration: Calibration,
-    /// What was measured for the calibration; `None` if the caller supplied the calibration.
+    /// The values measured for the calibration; `None` if the caller supplied the calibration.
     pub measured: Option<MeasuredCalibration>,
     /// Counts of binned and skipped particles.
     pub census: Census,

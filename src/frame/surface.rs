@@ -126,7 +126,7 @@ pub struct CalibratedFrame<'a> {
 }
 
 impl<'a> CalibratedFrame<'a> {
-    /// What was measured on this frame; `None` if the caller supplied the calibration, or for
+    /// The values measured on this frame; `None` if the caller supplied the calibration, or for
     /// kernels.
     pub fn measured(&self) -> Option<MeasuredCalibration> {
         self.measured

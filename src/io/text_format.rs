@@ -34,7 +34,7 @@ enum TextFormat {
     Table,
 }
 
-/// What the caller knows about the format before the content is read.
+/// The caller's knowledge of the format before the content is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
     /// The format that the file's extension implies. The content may turn out to be in another

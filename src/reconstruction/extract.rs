@@ -29,7 +29,7 @@ pub(crate) struct ExtractedSurface {
 pub(crate) struct Findings {
     /// The calibration of the surface, given or measured.
     pub(crate) calibration: Option<Calibration>,
-    /// What was measured for the calibration; `None` if the caller supplied the calibration.
+    /// The values measured for the calibration; `None` if the caller supplied the calibration.
     pub(crate) measured: Option<MeasuredCalibration>,
     /// Lower bound on the number of particles outside the surface.
     pub(crate) lost: u64,

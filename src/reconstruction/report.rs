@@ -33,7 +33,7 @@ pub struct Report {
     pub calibration: Option<Calibration>,
     /// The isovalue, if the method is a kernel method with an isovalue.
     pub kernel_iso: Option<f64>,
-    /// What was measured for the calibration; `None` if the caller supplied it, or for kernel
+    /// The values measured for the calibration; `None` if the caller supplied it, or for kernel
     /// methods.
     pub measured: Option<MeasuredCalibration>,
     /// Lower bound on the number of particles outside the surface.

@@ -27,7 +27,7 @@ pub(super) struct PaddedSamples {
     pub(super) of: usize,
 }
 
-/// Those blocks of a batch whose cells have the same width, and buffers for their fields.
+/// The blocks of a batch whose cells have the same width, and buffers for their fields.
 pub(super) struct PaddedBlocks {
     pub(super) blocks: DeviceBlocks,
     /// The cells are 2^`level` times as wide as the grid's cells.

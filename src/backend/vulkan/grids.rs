@@ -1,4 +1,4 @@
-//! Those blocks of a batch whose cells have the same width, and the data that is uploaded for them.
+//! The blocks of a batch whose cells have the same width, and the data that is uploaded for them.
 
 use std::ops::Range;
 

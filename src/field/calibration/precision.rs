@@ -70,7 +70,7 @@ pub enum TooFine {
         /// The particles' spacing.
         spacing: f64,
     },
-    /// So many cells are empty that the surface depends on where particles lie in the others.
+    /// The surface depends on where particles lie in their cells, because too many cells are empty.
     #[error(
         "the cell size {} is too small for the symmetry indicator: at most one cell in eight would \
          contain a particle; use a cell size of {} or more",

@@ -50,7 +50,7 @@ pub(super) struct SharedPlan {
     /// The calibration of the surface.
     #[serde(flatten, with = "as_numbers")]
     pub(super) calibration: Option<Calibration>,
-    /// What was measured for the calibration, unless the caller supplied the calibration.
+    /// The values measured for the calibration, unless the caller supplied the calibration.
     pub(super) measured: Option<CalibrationMeasures>,
     /// Mean indicator of full cells, for symmetry.
     pub(super) mean_symmetry: Option<f64>,
@@ -67,7 +67,7 @@ pub(super) struct SharedPlan {
     pub(super) chunks: Vec<BinnedChunk>,
 }
 
-/// What was measured for a calibration.
+/// The values measured for a calibration.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(super) struct CalibrationMeasures {
     plateau: Plateau,
