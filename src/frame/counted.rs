@@ -13,8 +13,8 @@ use crate::system::control::Stage;
 
 use super::{FrameError, Method, OccupiedTiles, Sampling, Surfacing};
 
-/// Particles that are counted by bin but not stored yet, so that the memory of the frame can be
-/// estimated.
+/// Particles that were counted by bin. They are not stored yet, so that the memory of the frame can
+/// be estimated first.
 pub struct CountedFrame<'a> {
     pub(super) particles: WithImages<'a>,
     pub(super) sampling: &'a Sampling,
@@ -64,7 +64,8 @@ impl<'a> CountedFrame<'a> {
         })
     }
 
-    /// The particles with their images in a periodic box, and their bins, which `count` computes.
+    /// Returns the particles, with their images in a periodic box, and the plan that `count`
+    /// computes for them.
     fn with_images(
         given: &'a dyn Particles,
         sampling: &'a Sampling,
@@ -151,8 +152,8 @@ impl<'a> CountedFrame<'a> {
                 MemoryEstimate { field: 2 * estimate.field, carried: true, ..estimate }
             }
             Method::Indicator { .. } => estimate,
-            // Kernels are kept until the surface is done. In the worst case, particles are kept
-            // too. Images have kernels too.
+            // Kernels, also those of images, are kept until the surface is done. In the worst case,
+            // so are the particles.
             Method::Kernels(kernels) => {
                 let bytes = self.plan.census().binned as u64 * kernels.kernel_bytes();
                 MemoryEstimate { particles: estimate.particles + bytes, carried: true, ..estimate }
@@ -162,8 +163,8 @@ impl<'a> CountedFrame<'a> {
 }
 
 impl Sampling {
-    /// Estimates the memory and disk space of a frame with these `bins`, without its kernels and
-    /// the positions that counting keeps. Only the blocks in `stretch` are meshed.
+    /// Estimates the memory and disk space of a frame with these `bins`, without the memory for its
+    /// kernels and for the positions that counting keeps. Only the blocks in `stretch` are meshed.
     pub fn estimate(
         &self,
         particles: &dyn Particles,

@@ -178,7 +178,7 @@ fn wide_bytes(bins: impl Iterator<Item = (MortonKey, usize)>, levels: u32) -> u6
     let page = |nonzero: usize| {
         PageSamples::most_bytes(nonzero.min(BIN.pow(3) as usize), 1, HALVED) as u64
     };
-    // For each level, the page that is being summed: the bins of a page are consecutive.
+    // For each level, the page whose samples are being summed. The bins of a page are consecutive.
     let mut open: Vec<(IVec3, usize)> = vec![(IVec3::MAX, 0); levels as usize];
     let mut bytes = 0;
     for (key, nonzero) in bins {

@@ -23,7 +23,7 @@ use crate::grid::{BIN, MortonKey, block_of_bin};
 /// cells in the face, because a wrinkled surface has more vertices than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
-/// The volume, in cubed spacings, that must be empty around a particle with its own surface.
+/// A particle has its own surface if space of this volume, in cubed spacings, is empty around it.
 const ALONE: i32 = 8;
 
 /// The expected vertices of a surface.
@@ -143,7 +143,7 @@ pub(super) fn surface(
         FACE * change + count as f64 * alone * f64::from(1.0 - fullest).powi(ALONE)
     };
     let (mut vertices, mut squares) = (0.0, 0.0);
-    // The block that is being summed: the bins of a block are consecutive.
+    // The block whose vertices are being summed. The bins of a block are consecutive.
     let (mut block, mut of_block) = (IVec3::MAX, 0.0);
     for bin in bins {
         let next = block_of_bin(bin.0.coord());
@@ -192,8 +192,8 @@ mod tests {
             (0..).map(|z| IVec3::new(0, 0, z)).zip(counts).filter(|&(_, count)| count > 0).collect()
         };
         let ends = |counts| vertices_of(&column(counts)) as f64;
-        // Each full bin has four side faces, and a bin that is a quarter full counts as half of
-        // one.
+        // Each full bin has four side faces, and a bin that is a quarter full counts as half of a
+        // full bin.
         assert!((ends([4096, 4096, 0]) - 10.0 * FACE).abs() < 2.0);
         assert!((ends([4096, 4096, 1024]) - 12.0 * FACE).abs() < 2.0);
     }

@@ -273,8 +273,9 @@ impl Row {
             Self { bin: bin >> widest, particles, occupied, ..Self::default() }
         };
         let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
-        // Behind the last part of the surface in a wide tile, the rest of the tile is on one side
-        // of the surface.
+        // For each tile that the surface passes through: the wide tile that contains it, its end
+        // along x, and whether the inside follows there. Behind the last of these tiles, the rest
+        // of the wide tile is on one side of the surface.
         let mut passed: Vec<([i32; 3], i32, bool)> = Vec::new();
         for piece in 0..surface.pieces() {
             let (block, level) = (surface.block(piece), surface.level(piece));

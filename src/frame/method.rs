@@ -1,4 +1,4 @@
-//! The method that makes the field of a frame.
+//! The method that computes the field of a frame.
 
 use crate::baselines::KernelMethod;
 use crate::brick::BrickSide;
@@ -6,7 +6,7 @@ use crate::field::calibration::Calibration;
 use crate::field::indicator::{Indicator, IndicatorKind};
 use crate::grid::units::MeanCount;
 
-/// A method that makes a field from particles, chosen before the particles are read.
+/// A method that computes a field from particles, chosen before the particles are read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
     /// A discrete indicator: clouds, which give distances, or an indicator of the paper.

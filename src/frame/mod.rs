@@ -92,7 +92,7 @@ impl Engine {
     ///
     /// # Errors
     /// [`FrameError`] if particles cannot be placed, if there are none, if they do not fit into the
-    /// budget or on the disk, if their field cannot be made, or if scratch files fail.
+    /// budget or on the disk, if their field cannot be computed, or if scratch files fail.
     pub fn sample(
         particles: &dyn Particles,
         sampling: &Sampling,
@@ -106,8 +106,8 @@ impl Engine {
     /// Samples the field of counted particles under a new budget.
     ///
     /// # Errors
-    /// [`FrameError`] if the particles do not fit on the disk, if their field cannot be made, or if
-    /// scratch files fail.
+    /// [`FrameError`] if the particles do not fit on the disk, if their field cannot be computed,
+    /// or if scratch files fail.
     pub fn sample_counted(
         counted: CountedFrame<'_>,
         budget: MemoryBudget,
@@ -237,7 +237,7 @@ impl Engine {
         }
     }
 
-    /// The stages that make and mesh the DIF; `None` for kernels and for particles of several
+    /// The stages that compute and mesh the DIF; `None` for kernels and for particles of several
     /// sizes.
     fn stages(&self) -> Option<&dyn Stages> {
         match &self.field {
@@ -322,7 +322,7 @@ impl Engine {
         }
     }
 
-    /// The method that made the field. For an indicator, it includes the mu0, given or measured.
+    /// The method that computed the field. For counting, it includes mu0, given or measured.
     #[must_use]
     pub fn method(&self) -> Method {
         match &self.field {

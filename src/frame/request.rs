@@ -51,7 +51,7 @@ pub struct Sampling {
     pub domain: Option<Domain>,
     /// The periodic box, if there is one.
     pub periodic: Option<Periodic>,
-    /// The method that makes the field.
+    /// The method that computes the field.
     pub method: Method,
     /// Treatment of particles whose positions are not finite or too far away.
     pub invalid: InvalidParticles,
@@ -59,7 +59,7 @@ pub struct Sampling {
     pub side: BrickSide,
     /// The indices of the attributes to carry to the vertices.
     pub carried: Vec<usize>,
-    /// The kinds of attributes, which were determined on another frame for all frames.
+    /// The kinds of attributes, if they were determined on another frame for all frames.
     pub kinds: Vec<SettledKind>,
     /// The particles' spacing, if known: a packed frame stores it, and kernels need it. If
     /// particles have several sizes, this is the smallest size.
@@ -135,8 +135,8 @@ impl Sampling {
         surfacing: &Surfacing,
         coarsest: Option<f64>,
     ) -> DecidingCells {
-        // The block of the widest cells that has the same lowest corner, with the cells beyond its
-        // faces that dual cells and normals use.
+        // The block of the widest cells that has the same lowest corner as the block, with the
+        // cells beyond its faces that dual cells and normals use.
         let widest = if self.periodic.is_some() { 0 } else { self.octaves(coarsest) - 1 };
         let further = if widest == 0 { 0 } else { 4 << widest };
         let block = CellBox::cube(IVec3::ZERO, BLOCK << widest).grown(further, further);

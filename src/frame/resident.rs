@@ -36,7 +36,7 @@ pub struct DeviceRequest {
     pub grid: Grid,
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
-    /// The indicator that makes the field.
+    /// The indicator from which the field is computed.
     pub indicator: IndicatorKind,
     /// `mu0`, for counting; if `None`, it is measured on the frame.
     pub mean: Option<MeanCount>,

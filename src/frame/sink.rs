@@ -12,7 +12,7 @@ use crate::frame::estimate::{MemoryEstimate, MemoryPlan};
 use crate::io::mnf::{FrameWriter, frame_from_file};
 use crate::system::control::Meter;
 
-/// Maximum number of samples in the pages that are made together before they go into a file.
+/// Maximum number of samples in the pages that are computed together before they go into a file.
 const BATCH_SAMPLES: usize = 1 << 22;
 
 /// The destination of the DIF while it is computed.

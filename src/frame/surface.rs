@@ -36,10 +36,10 @@ pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 type Contour<'a> =
     dyn Fn(&[LevelRegion], &Meter<'_>, &Finish<'_>, &mut Push<'_>) -> io::Result<()> + Sync + 'a;
 
-/// Meshes the regions in each cube with edges of `edge` blocks, and finishes their meshes on the
-/// same thread. `mesh` makes the meshes and reports the regions to the meter. One thread does both
-/// steps because sums of a field and sums of attributes use different resources of a core, so they
-/// run well side by side.
+/// Meshes regions cube by cube. One thread meshes all regions in a cube with edges of `edge`
+/// blocks, and also finishes their meshes. `mesh` makes the meshes and reports the regions to the
+/// meter. One thread does both steps because sums of a field and sums of attributes use different
+/// resources of a core, so they run well side by side.
 pub(super) fn cube_by_cube<'a>(
     edge: i32,
     mesh: impl Fn(&[LevelRegion], &Meter<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
@@ -79,7 +79,7 @@ pub(super) struct ExtractableField<'a> {
 }
 
 impl<'a> ExtractableField<'a> {
-    /// The field that `recipe` makes from the DIF of a frame.
+    /// The field that `recipe` computes from the DIF of a frame.
     pub(super) fn of_dif(
         sampled: &'a SampledDif,
         stages: &'a dyn Stages,

@@ -311,7 +311,7 @@ impl Conversion<'_> {
     }
 
     /// Returns the request for a frame, with the frame's solids. The request reports the progress
-    /// of its lane at the start and end of each stage, and only seldom in between, because each
+    /// of its lane at the start and end of each stage, and only rarely in between, because each
     /// event wakes the caller's thread.
     fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<CheckedRequest, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;

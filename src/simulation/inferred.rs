@@ -362,10 +362,10 @@ fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
 }
 
 /// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
-/// `last`: there are fewer simulations than frames in the longest one, and at least half of the
-/// frame numbers of each simulation also occur in the longest one. If all simulations have the same
-/// numbers, which count from 0, these can be the numbers of pieces, unless they are padded like
-/// frame numbers.
+/// `last`. There must be fewer simulations than frames in the longest one, and at least half of the
+/// frame numbers of each simulation must also occur in the longest one. If all simulations have the
+/// same numbers, which count from 0, these can be the numbers of pieces, unless they are padded
+/// like frame numbers.
 fn side_by_side(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {

@@ -5,8 +5,8 @@
 //! and so on. The files of a snapshot form one frame, whose number is part of `base`.
 //!
 //! A `.pvtp` or `.pvtu` file is written after its pieces. Until then, the pieces are recognised by
-//! comparison with a complete frame: if `pool_1.pvtp` names `pool_1_0.vtp`, `pool_2_0.vtp` is a
-//! piece too.
+//! comparison with a complete frame: if `pool_1.pvtp` names `pool_1_0.vtp`, `pool_2_0.vtp` is also
+//! a piece.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};

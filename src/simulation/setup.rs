@@ -146,8 +146,8 @@ impl Setup<'_> {
 
     /// Returns the sampling of a frame with the shared calibration. Walls that particles of the
     /// frame have passed are moved or removed for this frame, and a warning is returned for each of
-    /// them. The slab is used only if all particles of the frame lie in its plane. The first layer
-    /// of particles from an emitter does; two layers do not.
+    /// them. The slab is used only if all particles of the frame lie in its plane. For example, the
+    /// first layer of particles from an emitter lies in one plane, but two layers do not.
     pub(super) fn sampling(
         &self,
         shared: &SharedCalibration,

@@ -55,8 +55,8 @@ impl State {
         FPS.contains(&fps).then_some(fps)
     }
 
-    /// A hash that changes with any value of the state that meshes in this format depend on. Only
-    /// archives (.abc) depend on the frame rate.
+    /// A hash of all values of the state on which meshes in this format depend. Only archives
+    /// (.abc) depend on the frame rate.
     pub fn fingerprint(&self, format: MeshFormat) -> u32 {
         // The inputs may have been moved.
         let mut state = Self { inputs: None, ..self.clone() };
