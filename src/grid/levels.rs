@@ -78,7 +78,8 @@ impl BlockLevel {
     }
 
     /// The first block of level 0 in `block` or, if `block` lies in a block with wider cells, in
-    /// that wider block. A seam is meshed together with the wide cells in which it lies.
+    /// that wider block. A block in a seam is meshed together with the wider block that contains
+    /// it.
     #[must_use]
     pub fn home(self, block: IVec3) -> IVec3 {
         let wider = i32::from(self.wider & 1);

@@ -14,8 +14,8 @@ const PLACES: u64 = 8;
 /// Edge of a synthetic fluid, in spacings or in cells, whichever is longer.
 const EDGE: f64 = 16.0;
 
-/// A synthetic fluid has at most this many particles along the edge of a cell. With so many
-/// particles, disorder does not change the sample of a cell.
+/// A synthetic fluid has at most this many particles along the edge of a cell. At this number,
+/// disorder does not change the sample of a cell.
 const LONGEST: f64 = 24.0;
 
 /// Maximum number of cells per spacing in a synthetic fluid. At this number no cell holds two

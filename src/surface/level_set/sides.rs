@@ -302,8 +302,9 @@ impl Sides {
 }
 
 /// Whether a column that crosses no triangle is inside the mesh. A line of sight goes from one of
-/// the column's voxels in the band to the triangle that is nearest to this voxel. The first
-/// triangle on this line tells the side. Returns `None` if there is no such voxel.
+/// the column's voxels in the band to the triangle that is nearest to this voxel. The column
+/// is outside the mesh if the first triangle on this line faces the voxel. Returns `None` if the
+/// column has no such voxel, or if the line hits no triangle.
 fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles) -> Option<bool> {
     let mut voxels = column * EDGE..(column + 1) * EDGE;
     let voxel = voxels.find(|&voxel| (ON_SURFACE..BAND * BAND).contains(&squared[voxel]))?;
