@@ -161,7 +161,8 @@ settings! {
     )]
     radius: Option<f64>,
 
-    /// Attribute with the particles' sizes, if they differ [default: pscale, radius or spacing].
+    /// Attribute with the size of each particle, for particles of different sizes [default: pscale,
+    /// radius or spacing].
     ///
     /// Each region of the fluid is meshed at its own particle spacing. The attribute's name
     /// determines how its values are read: as radii (half of a particle's spacing), diameters,
@@ -191,7 +192,7 @@ settings! {
     #[arg(value_name = "RATIO", allow_negative_numbers = true, help_heading = "Surface")]
     cell: Option<f64>,
 
-    /// Position of a corner of a grid cell [default: 0,0,0].
+    /// Origin of the grid: a point that is a corner of a cell [default: 0,0,0].
     #[arg(
         value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true,
         help_heading = "Surface", hide_short_help = true
@@ -271,12 +272,12 @@ settings! {
 
     /// Smoothing width in spacings, from 0.8 to 4 [default: 1.6].
     ///
-    /// Larger is smoother: use 2 for noisy FLIP particles, and a smaller value to keep every
-    /// ripple. Works only with the indicator `cloud` (the default).
+    /// Larger is smoother: use 2 for noisy FLIP particles, and less than 1.6 to keep every ripple.
+    /// Works only with the indicator `cloud` (the default).
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     smooth: Option<f64>,
 
-    /// Join particles of thin sheets and filaments that are at most this many spacings apart
+    /// In thin sheets and filaments, join particles that are at most this many spacings apart
     /// [default: 2.15].
     ///
     /// The value must be from 1 to 3, or 0, which turns this off. In practice, sheets tear a little
@@ -285,7 +286,7 @@ settings! {
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
-    /// Method for computing the surface: dif, which uses the indicator, or one of three published
+    /// Method for computing the surface: dif, which uses the indicator, or one of three kernel
     /// methods, for comparison [default: dif].
     #[arg(value_enum, help_heading = "Surface", hide_short_help = true)]
     method: Option<MethodName>,
@@ -363,7 +364,9 @@ settings! {
     #[arg(value_enum, help_heading = "Output", hide_short_help = true)]
     up: Option<UpAxis>,
 
-    /// Axis that points up in the particle file [default: z for .bi4, else y].
+    /// Up axis of the particles [default: z for .bi4, else y].
+    ///
+    /// The mesh is rotated only if the up axis of the output is another axis.
     #[arg(value_enum, help_heading = "Input", hide_short_help = true)]
     particles_up: Option<UpAxis>,
 }

@@ -194,8 +194,8 @@ pub fn bytes_of<'a>(files: impl IntoIterator<Item = &'a Path>) -> Option<u64> {
 }
 
 /// Whether loading the Vulkan drivers may find a GPU, rather than only drivers that compute on the
-/// CPU. The check does not use device nodes with numbers, because in a container with one of
-/// several GPUs, that GPU may have any number.
+/// CPU. The check ignores device nodes with numbers: if a container has access to only one of the
+/// GPUs, the node of that GPU can have any number.
 fn may_have_gpu(nodes: &Path) -> bool {
     let known = ["dri", "nvidiactl", "dxg"];
     !cfg!(target_os = "linux") || known.iter().any(|node| nodes.join(node).exists())

@@ -45,7 +45,7 @@ pub(super) fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
 /// A direct-mapped cache for cubes. Of all cubes that share a slot, it stores the most recently
 /// used one.
 pub(super) struct CubeCache<T> {
-    /// For each axis, the number of low bits of a cube's coordinate that index the cache.
+    /// The number of low bits of each coordinate of a cube that index the cache.
     bits: u32,
     cubes: Vec<(BinCode, T)>,
 }

@@ -107,9 +107,9 @@ impl PageInfo {
     }
 
     /// Describes the page with these stored `samples`; returns `None` if the page is invalid. A
-    /// valid page has at least one brick, each of its bricks has a full cell of its own, and all
-    /// nonzero samples lie in the box around the bin's full cells, grown by the width of the ghost
-    /// layer.
+    /// valid page has at least one brick, each of its bricks has a full cell that belongs to the
+    /// bin, not to the ghost layer, and all nonzero samples lie in the box around the bin's full
+    /// cells, extended by the width of the ghost layer.
     ///
     /// # Panics
     /// If the number of samples does not match the bricks.

@@ -210,7 +210,10 @@ fn same_file(path: &Path, other: &Path) -> String {
     let path = path.display();
     match other.display() {
         other if other.to_string() == path.to_string() => {
-            format!("{path}: the request uses this file twice; choose another output")
+            format!(
+                "{path}: this file is named twice, as an input and an output or as two outputs; \
+                 choose another output"
+            )
         }
         other => format!("{path}: this is the same file as {other}; choose another output"),
     }

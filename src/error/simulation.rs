@@ -61,8 +61,8 @@ pub enum SimulationError {
     /// Frames in several files. They cannot be watched, because no file shows that a frame is
     /// complete.
     #[error(
-        "{0}: cannot watch frames that are split into several files, because no file shows when a \
-         frame is complete; convert the frames when the simulation has ended"
+        "{0}: cannot watch frames that are split into several files, because nothing shows when \
+         all files of a frame have been written; convert the frames when the simulation has ended"
     )]
     Joined(String),
     /// Frames of another simulation, which appeared while one simulation was watched.
@@ -106,8 +106,8 @@ pub enum SimulationError {
     },
     /// A state file that is damaged, or was written by another version of meniscus.
     #[error(
-        "{}: the state file is damaged or was written by another version of meniscus (error: \
-         {what})",
+        "{}: the state file cannot be used: {what} (is it damaged, or from another version of \
+         meniscus?)",
         path.display()
     )]
     State {
@@ -126,7 +126,7 @@ pub enum SimulationError {
     /// Meshes of other inputs, which a resumed conversion would replace.
     #[error(
         "{}: the existing meshes were made from {recorded}, and frame {frame} of {inputs} differs; \
-         write these meshes to another output",
+         write the new meshes to another output",
         path.display()
     )]
     OtherInputs {

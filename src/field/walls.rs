@@ -52,7 +52,7 @@ const SHELL: f64 = 1.5;
 const GAP: std::ops::Range<f64> = 0.5..0.9;
 /// The maximum density in such a gap, in particles per cubed spacing.
 const IN_GAP: f64 = 0.7;
-/// The range of densities of the shell of fluid at a wall, in particles per cubed spacing.
+/// The accepted densities of the fluid next to a wall, in particles per cubed spacing.
 const DENSITY: std::ops::Range<f64> = 0.5..2.0;
 /// Edge of a group, in columns.
 const GROUP: u64 = 4;

@@ -40,7 +40,7 @@ pub const SMALLEST_BUDGET: MemoryBudget = MemoryBudget(16 << 20);
 pub struct MemoryEstimate {
     /// The program, its threads and its backend.
     pub program: u64,
-    /// Buffers of the threads until the field is sampled.
+    /// Buffers of the threads while the field is sampled; they are freed afterwards.
     pub sampling: u64,
     /// Buffers of the threads while the surface is made.
     pub meshing: u64,

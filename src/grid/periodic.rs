@@ -66,8 +66,8 @@ pub enum PeriodicError {
     Open,
     /// The domain has walls along a periodic axis.
     #[error(
-        "the domain has a wall along {axis}, but {axis} is periodic; leave both {axis} sides of \
-         the domain open"
+        "the domain has a wall at an end of axis {axis}, but {axis} is periodic; leave both {axis} \
+         sides of the domain open"
     )]
     Walled {
         /// The axis: x, y or z.

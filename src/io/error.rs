@@ -211,7 +211,7 @@ pub enum WriteFault {
     #[error("the file already exists")]
     Exists,
     /// The output of a frame already exists, and may not be replaced.
-    #[error("the output of a frame already exists")]
+    #[error("the mesh of a frame already exists")]
     ExistsInSimulation,
     /// An unknown extension.
     #[error("unknown extension; supported: {known}")]

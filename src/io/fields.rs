@@ -73,7 +73,8 @@ pub struct Arrangement {
     pub position: LocatedQuantity,
     /// The other quantities with the same number of particles.
     pub attributes: Vec<LocatedQuantity>,
-    /// Arrays with too many numbers per particle, and arrays `x`, `y` and `z` of another length.
+    /// Arrays with too many numbers per particle, and arrays `x`, `y` and `z` whose length is not
+    /// the number of particles.
     pub left_out: Vec<UnreadPart>,
 }
 

@@ -199,9 +199,9 @@ impl fmt::Display for UnreadPart {
             }
             Self::Times { column, count, first, last } => write!(
                 f,
-                "the division into {count} frames by column {column:?} (from {first} to {last}), \
-                 because all rows of a table form one frame; to select one of them, use the \
-                 condition {column}={first}"
+                "the times in column {column:?} (from {first} to {last}), which would divide the \
+                 rows into {count} frames, because all rows of a table form one frame; to select \
+                 one of these frames, use the condition {column}={first}"
             ),
             Self::RepeatedStep => write!(
                 f,

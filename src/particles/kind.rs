@@ -58,7 +58,8 @@ pub enum KindFault {
         "colour {name:?} contains the value {greatest}, so its range seems to be 0 to 255, but in \
          the calibration frame (usually the first) it seems to be 0 to 1; use the same range in \
          all frames, or do not transfer the attribute; if all frames use 0 to 255, the \
-         calibration frame is too dark to show it: start at a frame with a value above 16"
+         calibration frame has only dark colours, and its range was guessed wrong: start at a \
+         frame with a value above 16"
     )]
     Scale {
         /// The name of the attribute.

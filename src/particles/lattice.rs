@@ -4,10 +4,10 @@
 //! Simulations often start with particles on a lattice. If its step divides the cells' edge,
 //! particles have the same positions in all cells. With one particle per cell, symmetry's theta can
 //! then be anything from 0 (on a corner) to 1 (in the centre). A few frames later, the same fluid
-//! is disordered. Its mean theta, over all positions u in a cell of edge 1, is 1 - 2 E|u| / sqrt 3
-//! = 0.445. If the origin gives the lattice exactly this theta, measurements on the first frame
-//! hold for all frames. With this origin, the lattice is also far from cell faces, where rounding
-//! would scramble the counts.
+//! is disordered. Its mean theta, over all offsets u from the centre of a cell of edge 1, is 1 - 2
+//! E|u| / sqrt 3 = 0.445. If the origin gives the lattice exactly this theta, measurements on the
+//! first frame hold for all frames. With this origin, the lattice is also far from cell faces,
+//! where rounding would scramble the counts.
 
 use std::f64::consts::TAU;
 

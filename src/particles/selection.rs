@@ -50,7 +50,7 @@ pub enum SelectionFault {
     },
     /// An order comparison of texts.
     #[error(
-        "cannot select particles by {name:?}: its values are text, which can only be compared with \
+        "cannot compare {name:?} with < or >: its values are text, which can only be compared with \
          = and !="
     )]
     Order {
@@ -60,7 +60,7 @@ pub enum SelectionFault {
     /// A condition on the type of particles that allows several types, or excludes the type that is
     /// read.
     #[error(
-        "cannot apply {condition}: meniscus reads only one type of particles at a time; choose \
+        "cannot apply {condition}: meniscus reads only one type of particle at a time; choose \
          one with type=NAME; available types: {}",
         listed(known)
     )]
@@ -152,7 +152,7 @@ fn component(name: &str) -> Option<(&str, usize)> {
     Some((attribute, index.parse().ok()?))
 }
 
-/// The integer that a text denotes, as in `7`, `7.0` or `1e6`. `None` for other numbers.
+/// The integer that a string represents, as in `7`, `7.0` or `1e6`; `None` for anything else.
 fn integer(text: &str) -> Option<i64> {
     /// The least number above all 64-bit integers.
     const BEYOND: f64 = -(i64::MIN as f64);

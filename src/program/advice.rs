@@ -126,7 +126,7 @@ fn advice(error: &Error) -> String {
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
         // If `differing` begins with this text, it names no setting: only the input has changed.
         Error::Simulation(SimulationError::Settings { differing, .. })
-            if differing.starts_with("input frame") =>
+            if differing.starts_with("the input of frame") =>
         {
             "; use --resume or --overwrite to start again"
         }
@@ -134,7 +134,7 @@ fn advice(error: &Error) -> String {
             "; use the old --fps, or --resume and --overwrite to change it"
         }
         Error::Simulation(SimulationError::Settings { .. }) => {
-            "; undo the change, or use --overwrite to make all frames again"
+            "; undo the changes, or use --overwrite to make all frames again"
         }
         Error::Frame {
             fault: FrameError::TooFine(TooFine::Steps { remedy: Remedy::Origin(corner), .. }),
@@ -394,8 +394,8 @@ mod tests {
             .into(),
             settings("cell"),
             settings("fps"),
-            settings("cell, input frame 1"),
-            settings("input frame 1"),
+            settings("cell, the input of frame 1"),
+            settings("the input of frame 1"),
             spacing(NoEstimate::TooFew),
             spacing(NoEstimate::SinglePrecision { step: 0.03 }),
             write(WriteFault::Exists),

@@ -27,7 +27,7 @@ fn inputs() -> String {
 pub struct ReconstructOptions {
     #[arg(required = true, value_name = "INPUT", help = INPUT, long_help = format!("{INPUT}.\n\n{}", inputs()))]
     pub inputs: Vec<PathBuf>,
-    /// Make one surface from the particles of all inputs, for example of several fluids.
+    /// Merge the particles of all inputs, such as several fluids, into one surface.
     ///
     /// If the inputs are several simulations, frames with the same number make one surface. List
     /// each input only once. Attributes that are missing from one of the inputs are left out.
@@ -42,7 +42,8 @@ pub struct ReconstructOptions {
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw the mesh (.png), or a contact sheet of at most 24 frames.
+    /// Draw a picture of the mesh (.png). For a simulation, draw a contact sheet of up to 24
+    /// frames.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.

@@ -286,14 +286,15 @@ pub struct SimulationOptions {
         hide_short_help = true
     )]
     end: Option<i64>,
-    /// Convert every Nth frame.
+    /// Convert only frames whose number is a multiple of N after that of the first (or of --start).
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert only frames A to B (inclusive), as one of several jobs that share a simulation.
+    /// Convert only frames A to B (inclusive): one job of a simulation that several jobs convert.
     ///
     /// The calibration (the density deep in the fluid, which all frames share) is measured on one
-    /// of the frames that --start, --end and --step select. --frames does not change this choice,
-    /// so all jobs use the same calibration, and together make the same meshes as a single run.
+    /// of the frames that --start, --end and --step select. --frames has no effect on which frame
+    /// is measured, so all jobs use the same calibration, and together make the same meshes as a
+    /// single run.
     #[arg(long, value_name = "A..B", value_parser = range, allow_hyphen_values = true, help_heading = "Simulations", hide_short_help = true)]
     frames: Option<(i64, i64)>,
     /// Resume an interrupted conversion.
@@ -308,10 +309,10 @@ pub struct SimulationOptions {
     /// for SECONDS [default: no limit].
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "inf", conflicts_with = "dry_run", help_heading = "Simulations")]
     pub watch: Option<f64>,
-    /// Frames per second of the simulation, if the files have no times.
+    /// Frames per second of the simulation.
     ///
-    /// Times in the files take precedence. The rate then only sets the number of frames per second
-    /// in USD stages and Alembic archives.
+    /// If the files contain times, meniscus uses these times, and the rate only sets the number of
+    /// frames per second in USD stages and Alembic archives.
     #[arg(long, value_name = "RATE", help_heading = "Simulations", hide_short_help = true)]
     pub fps: Option<f64>,
     /// Prepare a conversion that several jobs will share: calibrate, write the state file, and

@@ -156,7 +156,7 @@ impl OpenedFrame {
         }
     }
 
-    /// The number of particles that do not satisfy a condition.
+    /// The number of particles that do not satisfy the conditions in the settings.
     #[must_use]
     pub fn unselected(&self) -> usize {
         match &self.input {

@@ -362,7 +362,8 @@ impl fmt::Display for SpacingWarning {
                 if *spray {
                     write!(
                         f,
-                        "; this can be right for spray and for filaments of single particles"
+                        "; for spray and for filaments of single particles, the given spacing can \
+                         be right"
                     )?;
                 }
                 Ok(())
@@ -404,7 +405,7 @@ impl fmt::Display for SpacingWarning {
                     };
                     write!(
                         f,
-                        "{invalid} {have} no positive, finite {attribute} and {get} the default \
+                        "{invalid} {have} no positive, finite {attribute} and {get} the median \
                          size {}",
                         about(*usual)
                     )?;
@@ -417,7 +418,8 @@ impl fmt::Display for SpacingWarning {
                     };
                     write!(
                         f,
-                        "{and}{larger} {exceed} the maximum size of {coarsest} and {get} that size",
+                        "{and}{larger} {exceed} 64 times the smallest size and {get} size \
+                         {coarsest}",
                         coarsest = about(*coarsest)
                     )?;
                 }
@@ -434,15 +436,15 @@ impl fmt::Display for SpacingWarning {
                     about(*found)
                 )?;
                 if *spray {
-                    write!(f, "; this can be right for spray")?;
+                    write!(f, "; for spray, the sizes can be right")?;
                 }
                 Ok(())
             }
             Self::MoreSizes { attribute, sizes: [least, most], used } => write!(
                 f,
                 "in this frame, {attribute} gives the particles sizes from {} to {}, but in the \
-                 calibration frame, all particles have one size; meniscus uses size {} for all of \
-                 them",
+                 calibration frame, all particles have one size; meniscus uses size {} for all \
+                 particles of this frame",
                 about(*least),
                 about(*most),
                 about(*used)

@@ -299,8 +299,8 @@ impl fmt::Display for Warning {
             ),
             Self::BeforeWall(GapAtWall { axis, wall, end }) => write!(
                 f,
-                "the fluid ends at {axis} = {}, shortly before the wall at {axis} = {}, so the \
-                 surface there can be ragged; move the wall to the end of the fluid, or leave the \
+                "the fluid ends at {axis} = {}, just short of the wall at {axis} = {}, so the \
+                 surface there can be ragged; move the wall to where the fluid ends, or leave the \
                  side open",
                 significant(*end, 6),
                 significant(*wall, 6)

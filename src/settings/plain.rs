@@ -23,7 +23,7 @@ mod expected {
         format!("expected one of {}", words.join(", "))
     }
 
-    /// Text for a count that is too large for its setting.
+    /// Text of the error for a count that is too large for its setting.
     pub fn smaller() -> String {
         "expected a smaller number".into()
     }

@@ -285,7 +285,7 @@ impl Setup<'_> {
         let of_others = !differing.is_empty();
         if state.shared.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
-            let _ = write!(differing, "{comma}input frame {}", state.shared.frame);
+            let _ = write!(differing, "{comma}the input of frame {}", state.shared.frame);
         }
         let alone = self.simulation.makes_all_again() && !store.log.others_are_open();
         if differing.is_empty() && alone {

@@ -171,8 +171,9 @@ pub fn clouds(
     {
         let cell = particle.floor().as_ivec3();
         let offset = particle - cell.as_dvec3();
-        // Divide the amount among three cells along each axis, by their distance. A share beyond a
-        // wall goes to the cell before the wall.
+        // Divide the particle's amount among three cells along each axis, with the weights of a
+        // quadratic B-spline around the particle. A share beyond a wall goes to the cell before the
+        // wall.
         let shares = [0, 1, 2].map(|axis: usize| {
             let twice = 2 * (offset[axis] * 8192.0).floor() as u64 + 1;
             let [below, above] = [16384 - twice, twice].map(|length| length * length / 8192);

@@ -690,7 +690,7 @@ fn a_wall_that_the_fluid_almost_reaches_and_coarse_cells_are_reported() {
         assert!(run.status.success());
         String::from_utf8(run.stderr).unwrap()
     };
-    let before_wall = "shortly before the wall at y =";
+    let before_wall = "just short of the wall at y =";
     let end = -20.0;
     for (gap, is_reported) in [(0.0, false), (0.2, false), (0.5, true), (0.8, true), (3.0, false)] {
         let domain = format!("-,{},-,-,-,-", end - gap);

@@ -73,7 +73,7 @@ fn messages(text: &str, about: &str) -> Vec<String> {
     let timed = |line: &str| line.split(" in ").next().unwrap().to_owned();
     // Runs in parts do not search for walls, so remove these messages.
     let is_hint = |line: &str| {
-        ["the particles end at planes", "shortly before the wall"].iter().any(|m| line.contains(m))
+        ["the particles end at planes", "just short of the wall"].iter().any(|m| line.contains(m))
     };
     text.lines().filter(|line| !line.contains(about) && !is_hint(line)).map(timed).collect()
 }

@@ -292,7 +292,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         (
             &["--periodic", BOX, "--domain", "0,0,0,24,20,24"],
             2,
-            "a wall along x, but x is periodic",
+            "a wall at an end of axis x, but x is periodic",
         ),
         (&["--periodic", "0,-,0,1e9,-,24"], 2, "from the origin"),
         (&["--periodic", BOX, "--cell", "1e-12"], 2, "less than 0.1 spacings"),

@@ -95,7 +95,7 @@ impl Program {
     }
 
     /// # Safety
-    /// Nothing may use the buffer any more.
+    /// Nothing may use the buffer during or after the call.
     unsafe fn destroy(&self, buffer: &Own) {
         // SAFETY: all handles belong to this device.
         unsafe {

@@ -37,7 +37,7 @@ impl Lane {
     }
 
     /// A view of the first `bytes` bytes of this lane's buffer `name`, which grows if it is too
-    /// small. The previous content of the buffer is undefined.
+    /// small. The content of the returned buffer is undefined.
     pub(super) fn buffer(
         &mut self,
         device: &Device,

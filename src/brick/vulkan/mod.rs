@@ -169,8 +169,8 @@ pub struct DevicePages {
     pub pages: View,
     /// The arrangement of the samples in pages.
     pub shape: PageShape,
-    /// The DIF for each number of particles; the last entry, 1, is for all larger numbers. This
-    /// table is used only if pages contain numbers of particles.
+    /// The sample of a cell for each number of particles. The last entry, 1, also applies to all
+    /// larger numbers. This table is used only if pages contain numbers of particles.
     pub theta: View,
     /// The number of entries of `theta`; 0 if pages contain the DIF.
     pub decode: u32,

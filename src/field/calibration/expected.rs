@@ -76,8 +76,8 @@ impl FluidSums {
         let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
         let mut fluid = Self { denser, ..Self::default() };
         for place in 0..PLACES {
-            // Multiples of these numbers, powers of the golden ratio generalised to three axes, are
-            // evenly spread.
+            // The fractional parts of multiples of these numbers are evenly spread. The numbers are
+            // the inverse powers of the golden ratio, generalised to three axes.
             let shift =
                 [0.819_172_513, 0.671_043_606, 0.549_700_478].map(|x| (place as f64 * x).fract());
             let mut cells: HashMap<[i32; 3], [f64; 4]> = HashMap::new();

@@ -39,8 +39,8 @@ const LEAST: f64 = 256.0;
 
 /// The sizes of gaps that count as fluid, in spacings. Each size comes with the minimum plateau of
 /// a fluid with such gaps, as a fraction of the plateau expected from the spacing; `None` for no
-/// minimum. A thin random fluid has an interior only with the wider gaps. Mist also has wide gaps,
-/// but a lower plateau.
+/// minimum. Thin fluid with random particles has an interior only if the wider gaps also count as
+/// fluid. Mist also has wide gaps, but a lower plateau.
 const GAPS: [(f64, Option<f64>); 2] = [(2.0, None), (3.0, Some(1.0 / 3.0))];
 
 /// The value of the smoothed DIF deep in the fluid, measured or expected.

@@ -314,8 +314,9 @@ impl DistanceFilters {
 }
 
 /// Makes the parameters of drops and sheets for particles `spacing` cells apart. Drops and sheets
-/// are computed on cells half as wide as wide cells, or on the grid's own cells if those are the
-/// wide cells. `is_refined` says whether splines interpolate drops and sheets on the mesh.
+/// are computed on cells half as wide as wide cells. If wide cells are the grid's own cells, drops
+/// and sheets are computed on these cells. `is_refined` says whether splines interpolate drops and
+/// sheets on the mesh.
 fn thin_fluid(sheets: SheetStretch, spacing: f64, is_refined: bool) -> (Drops, Option<Sheets>) {
     let wide = WideCells::of_spacing(spacing);
     let in_drops = spacing / f64::from(1 << wide.level.saturating_sub(1));

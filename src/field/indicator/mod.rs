@@ -43,9 +43,10 @@ use crate::grid::units::{FULL, MeanCount};
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum IndicatorKind {
-    /// How close the particles' centroid is to the cell's centre, from 0 to 1 (eq. 7 of the paper).
+    /// How close the particles' centroid is to the cell's centre: from 0 at a corner to 1 at the
+    /// centre.
     Symmetry,
-    /// The number of particles in the cell (eq. 6 of the paper).
+    /// The number of particles in the cell, compared with the number expected inside the fluid.
     Counting,
     /// The density of the particles, after each particle is spread over nearby cells as a cloud.
     #[default]

@@ -83,8 +83,8 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let at_corner;
         (cell, at_corner) = cell_for(|cell| counts(lo, cell), target, cell)?;
         let placements = (SHARE / particles.len().max(1)).clamp(1, 8) as u32;
-        // Multiples of these numbers, powers of the golden ratio generalised to three axes, are
-        // evenly spread.
+        // The fractional parts of multiples of these numbers are evenly spread. The numbers are the
+        // inverse powers of the golden ratio, generalised to three axes.
         let shifts = (0..placements).map(|i| {
             let i = f64::from(i);
             DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()

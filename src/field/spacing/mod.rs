@@ -109,7 +109,7 @@ impl SpacingEstimate {
 #[non_exhaustive]
 pub enum NoEstimate {
     /// Too few particles.
-    #[error("an estimate needs more particles")]
+    #[error("these are too few")]
     TooFew,
     /// No position is finite.
     #[error("no particle has a finite position")]

@@ -236,7 +236,7 @@ pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     positions
 }
 
-/// The distinct positions in any order; faster than [`distinct`] if there are few duplicates.
+/// The distinct positions in any order; faster than [`distinct`] if there are no duplicates.
 fn without_duplicates(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let numbers: Vec<u64> = positions.par_iter().map(|&position| position_hash(position)).collect();
     if some_are_alike(&numbers) { distinct(positions) } else { positions }

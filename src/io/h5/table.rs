@@ -84,7 +84,7 @@ impl H5Array {
         self.components as u64 > MOST_COMPONENTS
     }
 
-    /// An array whose rows are a part of each row of a data set.
+    /// An array in which each row is a part of the row with the same number in a data set.
     pub fn of(
         set: Arc<Dataset>,
         name: String,

@@ -182,7 +182,7 @@ impl<'a> UnpackedColumns<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Compression`] if the columns need more bytes than a file of this size may
-    /// unpack to, errors of reading, and errors of the scratch file.
+    /// unpack to, read errors, and errors of the scratch file.
     pub fn push(&mut self, attribute: &HoudiniAttribute) -> Result<Vec<Column>, ReadFault> {
         let HoudiniAttribute { name, values, .. } = attribute;
         let run = match &values.data {

@@ -34,7 +34,7 @@ pub struct Heading {
     pub lines_above: u64,
     pub syntax: Syntax,
     pub columns: TableColumns,
-    /// The number at the start of the first row, if it may be the number of rows below it.
+    /// The number at the start of the first row, if it may be the number of the rows that follow.
     pub announced: Option<u64>,
 }
 

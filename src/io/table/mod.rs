@@ -103,7 +103,7 @@ pub(super) fn read(
     table.read(bytes, wanted, unpacking, "text table")
 }
 
-/// The place of a field's number in a decoded row, and the treatment of an invalid field.
+/// Where the value of a field goes in a decoded row, and what happens if the field is invalid.
 #[derive(Debug, Clone, Copy)]
 struct FieldTarget {
     /// The index of the number in a decoded row.

@@ -104,7 +104,7 @@ pub fn lengths() -> Vec<u32> {
     TABLE.iter().map(|triangles| triangles.len() as u32).collect()
 }
 
-/// Counts, orders and writes the surface through all blocks.
+/// Counts and orders the vertices and triangles of all blocks, and writes them.
 ///
 /// # Errors
 /// [`VulkanError::OutOfMemory`] if a buffer is larger than a shader can access.

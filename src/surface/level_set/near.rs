@@ -101,8 +101,8 @@ impl NearTriangles {
     /// The tangent of an angle that limits the directions from a vertex to voxels. If the vertex is
     /// the point of the mesh that is nearest to a voxel outside, the direction from the vertex to
     /// the voxel is within this angle of the normal of a triangle around the vertex. For a voxel
-    /// inside the mesh, the opposite direction is. The tangent is infinite if the normals can
-    /// differ by 90 degrees or more.
+    /// inside the mesh, the opposite direction is within this angle of the normal. The tangent is
+    /// infinite if the normals can differ by 90 degrees or more.
     ///
     /// Such a direction is a sum of the normals with positive weights, so it passes through the
     /// convex hull of the normals. No point of the hull is farther from the nearest normal than the

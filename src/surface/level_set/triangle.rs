@@ -22,7 +22,7 @@ pub struct Triangle {
 }
 
 impl Triangle {
-    /// Prepares a triangle that is not flat. `normal` is its unit normal.
+    /// Prepares a triangle that is not degenerate. `normal` is its unit normal.
     #[inline]
     pub fn new([a, b, c]: [DVec3; 3], normal: DVec3) -> Self {
         let (ab, ac) = (b - a, c - a);

@@ -242,7 +242,7 @@ impl Vicinity<'_> {
                 }
             }
         }
-        // Search the nearest node first, so that most other nodes are then too far away.
+        // Search the nearest node first: what it finds rules out most other nodes as too far away.
         let mut search = |number: usize, squared: f64| {
             if squared < best.0 {
                 self.tree.search(self.level, self.nodes[number] as usize, point, &mut best);

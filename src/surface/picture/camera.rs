@@ -38,7 +38,7 @@ pub enum View {
     },
 }
 
-/// An eye, the axes of its picture, and the size of a unit length at distance 1, in units of the
+/// A pinhole camera: its position, the axes of its picture, and its focal length in units of the
 /// picture's height.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Camera {

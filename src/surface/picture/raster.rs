@@ -49,8 +49,8 @@ pub(super) struct RasterSample {
     /// The eye's distance from the target, divided by the surface's distance in [camera
     /// coordinates](Camera::seen).
     pub(super) near: f32,
-    /// The path length through the fluid, projected onto the middle line of sight, divided by the
-    /// eye's distance from the target.
+    /// The path length through the fluid, projected onto the viewing axis, divided by the eye's
+    /// distance from the target.
     pub(super) through: f32,
 }
 

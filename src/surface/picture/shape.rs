@@ -53,7 +53,7 @@ struct WholeMesh<'a> {
     triangles: Vec<[u32; 3]>,
 }
 
-/// Triangles of a mesh with all of their corners.
+/// A batch of triangles, with the positions of all of their vertices.
 pub(super) struct TriangleBatch<'a> {
     /// The number of the first triangle.
     pub(super) first: u32,

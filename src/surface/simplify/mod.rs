@@ -310,7 +310,7 @@ impl Passes<'_> {
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
                 Some(local) => inside.push(local),
-                // The cells of the triangle's vertices are at the corners of the dual cell.
+                // The cell is dual: its corners are the cells of the triangle's vertices.
                 None => sorted.push(self.home(cell, self.scale.corners(cell)), triangle),
             })?;
         }
@@ -359,8 +359,8 @@ impl Passes<'_> {
         (MortonKey::of(chunk), fate)
     }
 
-    /// Returns the triangles of a shifted chunk, after simplifying those of its `lists` that are
-    /// marked [`Fate::Simplify`].
+    /// Simplifies the lists of a shifted chunk that are marked [`Fate::Simplify`], and returns the
+    /// triangles of the chunk.
     fn second(
         &self,
         pieces: &[usize],
@@ -547,7 +547,7 @@ impl ChunkVertices {
         Ok(chunk)
     }
 
-    /// The vertices on the lines of a coarse lattice, which the first pass keeps.
+    /// The vertices that the first pass keeps: the vertices on the lines of a coarse lattice.
     fn pins(&self, scale: Scale) -> Vec<u32> {
         let spacing = PIN_SPACING * scale.0;
         let on_line = |cell: &IVec3| {

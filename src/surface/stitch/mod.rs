@@ -163,7 +163,8 @@ impl StitchedSurface {
         Ok(columns.iter().sum::<f64>() * self.grid.cell_size().powi(3))
     }
 
-    /// The contribution of a block's columns along x to the enclosed volume, in finest cells.
+    /// The contribution of a block's columns along x to the enclosed volume, in units of the volume
+    /// of a finest cell.
     fn block_columns(&self, block: &BlockMesh, within: Option<CellBox>) -> f64 {
         let edge = f64::from(1_u32 << block.level.level);
         let of_tile = |tile: &Tile| {

@@ -1,5 +1,5 @@
-//! Compares the quality of this library's surfaces with those of other programs. Every program
-//! reads and writes files. A table contains the programs' command lines.
+//! Compares the quality of this library's surfaces with that of other programs' surfaces. Every
+//! program reads and writes files. A table contains the programs' command lines.
 //!
 //! `tools/compare/quality` finds the programs, writes the table and runs this module. Lengths are
 //! in spacings of the particles, and the spacing is 1 in all files, except in those with particles

@@ -29,7 +29,7 @@ pub struct Program {
     sized: Option<String>,
 }
 
-/// The scenes for which a program is fast enough.
+/// The scenes that a program can mesh in a reasonable time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Takes {
     Many,

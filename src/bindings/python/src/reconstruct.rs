@@ -39,7 +39,7 @@ use crate::work::{Work, with_progress};
 /// cell, cell_size : float, optional
 ///     Edge length of a cell, in spacings (0.5 by default; use 0.25 for renders) or as a length.
 /// origin : three floats, optional
-///     Position of a corner of a grid cell.
+///     Origin of the grid: a point that is a corner of a cell.
 /// domain : six floats or None, or two corners, or "auto", optional
 ///     Walls of a tank on which the surface ends exactly: x0, y0, z0, x1, y1, z1; None for an open
 ///     side. "auto" finds the walls.
@@ -62,8 +62,8 @@ use crate::work::{Work, with_progress};
 ///     Smoothing width, in spacings, 1.6 by default; larger is smoother, and 2 is good for noisy
 ///     FLIP particles.
 /// sheets : float, optional
-///     Join particles of thin sheets and filaments that are at most this many spacings apart, 2.15
-///     by default; 0 turns this off.
+///     In thin sheets and filaments, join particles that are at most this many spacings apart,
+///     2.15 by default; 0 turns this off.
 /// solid : list of str, optional
 ///     Files of closed meshes where the fluid ends, such as obstacles.
 /// solid_offset : float, optional
