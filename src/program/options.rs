@@ -42,8 +42,7 @@ pub struct ReconstructOptions {
     /// all frames.
     #[arg(short, long, help_heading = "Output")]
     pub output: PathBuf,
-    /// Draw a picture of the mesh (.png). For a simulation, draw a contact sheet of up to 24
-    /// frames.
+    /// Draw a picture (.png) of the mesh, or of up to 24 frames.
     #[arg(long, help_heading = "Output")]
     pub preview: bool,
     /// Print what would be done without doing it.
