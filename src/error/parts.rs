@@ -44,7 +44,7 @@ pub enum PartsError {
     },
     /// A plan with other settings.
     #[error(
-        "{}: the plan was made with different settings ({differing}); undo the change, or make the \
+        "{}: the plan was made with different settings ({differing}); undo the changes, or make the \
          plan again",
         path.display()
     )]

@@ -199,9 +199,9 @@ impl fmt::Display for UnreadPart {
             }
             Self::Times { column, count, first, last } => write!(
                 f,
-                "the times in column {column:?} (from {first} to {last}), which would divide the \
-                 rows into {count} frames, because all rows of a table form one frame; to select \
-                 one of these frames, use the condition {column}={first}"
+                "the division of the rows by the {count} times in column {column:?} (from {first} \
+                 to {last}), because all rows of a table form one frame; to select the rows of \
+                 one time, use the condition {column}={first}"
             ),
             Self::RepeatedStep => write!(
                 f,

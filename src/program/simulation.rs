@@ -286,7 +286,7 @@ pub struct SimulationOptions {
         hide_short_help = true
     )]
     end: Option<i64>,
-    /// Convert only frames whose number is a multiple of N after that of the first (or of --start).
+    /// Convert frames F, F + N, F + 2N and so on, where F is --start or the first frame's number.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
     /// Convert only frames A to B (inclusive): one job of a simulation that several jobs convert.

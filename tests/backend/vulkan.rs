@@ -585,7 +585,8 @@ fn batches_with_too_many_vertices_are_emitted_again() {
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
-        // With a large budget, all regions are one batch; with a small one, they are several.
+        // With a large budget, one batch of all regions is meshed again; with a small one, several
+        // smaller batches are.
         for budget in [budget, MemoryBudget(96 << 20)] {
             let frame = vulkan.executor().start(budget);
             assert!(contoured(&*frame, &surfaces, &regions) == expected);

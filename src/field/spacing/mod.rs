@@ -109,7 +109,7 @@ impl SpacingEstimate {
 #[non_exhaustive]
 pub enum NoEstimate {
     /// Too few particles.
-    #[error("these are too few")]
+    #[error("there are too few of them")]
     TooFew,
     /// No position is finite.
     #[error("no particle has a finite position")]
