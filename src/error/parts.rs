@@ -44,8 +44,8 @@ pub enum PartsError {
     },
     /// A plan with other settings.
     #[error(
-        "{}: the plan was made with different settings ({differing}); undo the changes, or make the \
-         plan again",
+        "{}: the plan was made with different settings ({differing}); undo the changes, or make \
+         the plan again",
         path.display()
     )]
     Settings {

@@ -334,8 +334,8 @@ setters! {
     /// Sets the smoothing width for clouds, in spacings; the default is 1.6. Larger values give a
     /// smoother surface.
     smooth: f64,
-    /// With the indicator cloud, joins particles of thin sheets and filaments that are at most this
-    /// many spacings apart. The default is 2.15, and 0 turns joining off.
+    /// In thin sheets and filaments, joins particles that are at most this many spacings apart. The
+    /// default is 2.15, and 0 turns joining off. Works only with the indicator cloud.
     sheets: f64,
     /// Sets the distance, in spacings, between the fluid and solids. With a negative distance, the
     /// fluid reaches into solids.

@@ -99,7 +99,7 @@ pub enum Warning {
     },
     /// Particles are beyond a wall that was found on other frames.
     BeyondWall(BeyondWall),
-    /// The fluid ends shortly before a wall of the domain.
+    /// The fluid ends just short of a wall of the domain.
     BeforeWall(GapAtWall),
     /// Particles are outside the surface.
     Lost {

@@ -141,7 +141,7 @@ fn a_second_resident_frame_fits_if_the_first_does() {
     for indicator in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: indicator.into(), spacing: Some(1.0), ..sampling() };
         let settings = settings(&sampling, &surfacing());
-        for memory in (8..40).step_by(2).map(|step| step << 18) {
+        for memory in (8..40).map(|step| step << 18) {
             let options = DeviceOptions {
                 memory: Some(memory),
                 shares_host_memory: Some(false),

@@ -103,10 +103,10 @@ pub(super) fn read(
     table.read(bytes, wanted, unpacking, "text table")
 }
 
-/// Where the value of a field goes in a decoded row, and what happens if the field is invalid.
+/// The index of a field's value in a decoded row, and the treatment of an invalid field.
 #[derive(Debug, Clone, Copy)]
 struct FieldTarget {
-    /// The index of the number in a decoded row.
+    /// The index of the value in a decoded row.
     place: usize,
     /// The treatment of a field that is not a number.
     otherwise: BadFieldPolicy,

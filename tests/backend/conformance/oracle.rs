@@ -164,11 +164,9 @@ pub fn the_sparse_field_equals_the_dense_field(backend: &TestBackend) {
             let inside = dense.values.iter().filter(|&&sample| sample > surface).count();
             assert!(inside > 200, "{what}: the scene has no inside");
             deep += usize::from(dense.values.contains(&u16::MAX));
-            let sides: &[_] = match seed {
-                0 => &[(BrickSide::Four, 2), (BrickSide::Sixteen, 2)],
-                _ => &[(BrickSide::Eight, 1)],
-            };
-            for &(side, threads) in sides {
+            for (side, threads) in
+                [(BrickSide::Four, 2), (BrickSide::Eight, 1), (BrickSide::Sixteen, 2)]
+            {
                 let mut shuffled = particles.clone();
                 shuffle(&mut shuffled, &mut Random::new(threads as u64));
                 let sampling = Sampling { side, ..sampling.clone() };

@@ -233,7 +233,7 @@ fn of_one_size() -> Vec<Vec<u8>> {
     let mut first = frames[1].clone();
     first[8] = 1;
     frames.push(sealed(&first));
-    of_frames(frames)
+    checked(frames)
 }
 
 /// Small seed frames of particles of several sizes, without and with walls. There are few
@@ -241,11 +241,11 @@ fn of_one_size() -> Vec<Vec<u8>> {
 fn of_several_sizes() -> Vec<Vec<u8>> {
     let frames = [Reconstruction::new(), Reconstruction::new().domain([-9.0; 3], [9.0; 3])]
         .map(|request| packed(request, 4, Some(&[1.0, 1.0, 2.0, 5.0])));
-    of_frames(frames.to_vec())
+    checked(frames.to_vec())
 }
 
-/// Checks that the seeds are frames.
-fn of_frames(seeds: Vec<Vec<u8>>) -> Vec<Vec<u8>> {
+/// Returns `seeds`, after checking that each is a valid frame.
+fn checked(seeds: Vec<Vec<u8>>) -> Vec<Vec<u8>> {
     for seed in &seeds {
         assert!(open_frame(&folder::file("seed.mnf", seed), 0, None).is_ok(), "a seed is no frame");
     }

@@ -97,7 +97,7 @@ options! {
     start: i64 = frame,
     /// The last frame of the simulation, for meniscus_convert.
     end: i64 = frame,
-    /// Every Nth frame, for meniscus_convert.
+    /// The step between the numbers of frames to convert, for meniscus_convert.
     step: u64 = step,
     /// Convert only these frames of the simulation, such as 100..199, as one of several jobs, for
     /// meniscus_convert.

@@ -51,8 +51,8 @@ pub const SIMULATION: [&str; 10] = [
 ///     A name with ``{}`` or ``{:04}`` for the number, a folder, or one ``.abc`` file for all
 ///     frames.
 /// start, end, step : int, optional
-///     The first and last frame of the simulation, and the step between frames. Numbers may be
-///     negative.
+///     The first and last frame of the simulation, and the step between the numbers of frames to
+///     convert. Frame numbers may be negative.
 /// frames : pair of int, optional
 ///     First and last frame to convert, both included, as one of several jobs.
 /// resume : bool, optional
