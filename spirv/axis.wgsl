@@ -1,6 +1,6 @@
 // One axis of a separable operation, which a shader defines by its functions `weight_of` and
 // `with_tap`. Samples are mirrored at walls. A thread computes a run of 4 pairs (RUN) along the
-// axis, so that it reads each sample once for all of them.
+// axis, so that it reads each sample once for all pairs.
 
 struct AxisPush {
     // The planes of the mirrors, in halves of a cell.
@@ -47,7 +47,7 @@ fn with_next(run: Run, k: i32, samples: vec2<u32>) -> Run {
 // Computes run number `number` of a block, if there is such a run.
 fn filter_run(number_of_block: u32, number: u32) {
     let block = blocks[number_of_block];
-    // A pair is computed if either of its cells is wanted.
+    // A pair is computed if at least one of its cells is needed.
     var lo = max(vec3<i32>(push.margin), (push.mirror_lo >> vec3(1u)) - block.lo);
     var hi = min(
         vec3<i32>(block.size) - vec3<i32>(push.margin),
@@ -66,7 +66,7 @@ fn filter_run(number_of_block: u32, number: u32) {
     at[push.axis] *= RUN;
     at.x *= 2u;
     at += vec3<u32>(lo);
-    // The mirrors along this axis, relative to the block. Cells that are not wanted can have taps
+    // The mirrors along this axis, relative to the block. Cells that are not needed can have taps
     // beyond the block.
     let last = i32(block.size[push.axis]) - 1;
     let mirrors = vec2(push.mirror_lo[push.axis], push.mirror_hi[push.axis])

@@ -96,7 +96,8 @@ fn clouds(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_id)
             for (var y = 0u; y < 3u; y++) {
                 let in_row = part_of(in_slab, y_shares[y]);
                 for (var x = 0u; x < 3u; x++) {
-                    // Wraps around below the part.
+                    // If the cell is below the part, the subtraction wraps around to a large
+                    // number.
                     let to = lowest + x + edge * (y + edge * z) - begin;
                     if to < push.group_samples {
                         var part = part_of(in_row, x_shares[x]);

@@ -1,10 +1,11 @@
-// Computes the calm and the fine surface of the bulk: depths for the samples under three widths,
-// extrapolated to width 0 along lines through two widths each.
+// Computes the calm and the fine surface of the bulk. The samples are smoothed with three widths.
+// Each surface is extrapolated to width 0 from the depths of two widths.
 
 struct DepthsOfPush {
     // Words of the field.
     words: u32,
-    // The factor that converts samples to fractions of the plateau.
+    // Converts samples to fractions of the plateau: sample * scale / 16384 is the fraction in
+    // 32768ths.
     scale: u32,
     // For each width, the standard deviation of a smoothed particle in 4096ths of a spacing, and
     // the maximum distance in 32768ths of this standard deviation.
@@ -21,8 +22,8 @@ struct DepthsOfPush {
 }
 
 var<immediate> push: DepthsOfPush;
-// The samples under each width. They are replaced by the fine surface (`narrow`), the difference
-// between the two surfaces (`middle`), and the calm surface (`wide`).
+// The samples smoothed with each width. They are replaced by the fine surface (`narrow`), the
+// difference between the two surfaces (`middle`), and the calm surface (`wide`).
 @group(0) @binding(0) var<storage, read_write> narrow: array<u32>;
 @group(0) @binding(1) var<storage, read_write> middle: array<u32>;
 @group(0) @binding(2) var<storage, read_write> wide: array<u32>;

@@ -1,7 +1,7 @@
 //! with bin_table
 // Counts the particles of a chunk by bin, and stores each particle's slot: one thread per particle.
 // A bin's first particle takes a slot for the bin. Two particles are in the same bin if their keys,
-// which were written before, are equal.
+// which the shader `place` wrote, are equal.
 
 struct EnterPush {
     // Particles of the chunk.

@@ -1,7 +1,8 @@
-// IEEE 754 double precision in integer arithmetic, the same on every device: numbers are (low word,
-// high word), results are rounded to nearest, ties to even. Needs `wide`.
+// IEEE 754 double precision in integer arithmetic, which gives the same results on every device.
+// Numbers are (low word, high word). Results are rounded to the nearest number, ties to even. Needs
+// `wide`.
 
-// significand * 2^exponent, with the sign in its bit.
+// The number significand * 2^exponent. In `sign`, only the sign bit can be set.
 struct Parts {
     significand: vec2<u32>,
     exponent: i32,
@@ -38,7 +39,8 @@ fn right_sticky(a: vec2<u32>, n: u32) -> vec2<u32> {
     return vec2(shifted.x | u32(any(left(shifted, n) != a)), shifted.y);
 }
 
-// The number nearest to significand * 2^exponent. If bits were lost before, the lowest bit is set.
+// The number nearest to significand * 2^exponent. If earlier steps lost bits, they must have set
+// the lowest bit of the significand.
 fn rounded(sign: u32, significand: vec2<u32>, exponent: i32) -> vec2<u32> {
     if all(significand == vec2(0u)) {
         return vec2(0u, sign);
@@ -134,7 +136,7 @@ fn f64_ratio(a: u32, b: u32) -> vec2<u32> {
     return rounded(0u, quotient, -61 - i32(shift));
 }
 
-// a / 2.
+// The number a / 2.
 fn f64_half(a: i32) -> vec2<u32> {
     return rounded(bitcast<u32>(a) & SIGN, vec2(u32(abs(a)), 0u), -1);
 }

@@ -1,6 +1,6 @@
 //! with block brick
-// The data about a page that the host needs: the full cells of its bin. One work group per page,
-// one thread per row along x.
+// Finds the full cells of each page's bin, for the host. One work group per page, one thread per
+// row along x.
 
 struct Full {
     // For each axis, a bit for each layer of cells perpendicular to the axis: whether the layer has

@@ -31,7 +31,8 @@ fn decoded(sample: u32) -> u32 {
     return theta[min(sample, push.decode - 1u)];
 }
 
-// The bins that overlap a block and its ghost layers: the lowest, and their number along each axis.
+// The bins that overlap a block and its ghost layers: the lowest bin, and the number of bins along
+// each axis.
 struct Bins {
     first: vec3<i32>,
     size: vec3<i32>,

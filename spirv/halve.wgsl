@@ -39,7 +39,7 @@ fn wide_sample(block: Block, wide: vec3<i32>) -> u32 {
             sum += weight(y) * weight(z) * row;
         }
     }
-    // The lowest 16 bits of the product, which is wider than a word, do not matter.
+    // The product is wider than a word, but its lowest 16 bits do not affect the result.
     let product = (sum >> 16u) * push.factor + (((sum & 0xffffu) * push.factor) >> 16u);
     return min((product + (1u << (HALVED_BITS - 17u))) >> (HALVED_BITS - 16u), FULL);
 }

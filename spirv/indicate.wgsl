@@ -1,10 +1,10 @@
 //! with wide binned
-// Cell sums of one octant of a bin per work group, with atomic sums in shared memory. For symmetry,
-// theta follows from the sums (eq. 7). For counting, the number of particles is stored, and a table
-// converts it to theta (eq. 6) when samples are gathered.
+// Each work group computes the sums of the cells in one octant of a bin, with atomic operations in
+// shared memory. For symmetry, theta follows from the sums (eq. 7). For counting, the number of
+// particles is stored, and a table converts it to theta (eq. 6) when samples are gathered.
 
 struct IndicatePush {
-    // 0 for symmetry.
+    // Whether the indicator is counting; 0 for symmetry.
     counting: u32,
 }
 
@@ -24,12 +24,13 @@ fn add(at: u32, high: u32, value: u32) {
     }
 }
 
-// b <= 31, so that no shift is as wide as a word.
+// The 64-bit number a * 2^b, where b is at most 31. The high word is shifted in two steps, because
+// no shift may be as wide as a word.
 fn shifted(a: u32, b: u32) -> vec2<u32> {
     return vec2(a << b, (a >> 1u) >> (31u - b));
 }
 
-// |2 S + n - n F|.
+// |2 S + n - n F|, where S is the sum of the offsets of n particles, and F is 2^FRACTION_BITS.
 fn deviation(n: u32, s: vec2<u32>) -> vec2<u32> {
     var sum = vec2(s.x << 1u, (s.y << 1u) | (s.x >> 31u));
     sum.x += n;
@@ -58,7 +59,7 @@ fn divided(a: vec2<u32>, n: u32, bits: u32) -> vec2<u32> {
     return vec2(quotient, rest.x);
 }
 
-// |D| / n, where |D| is from 0 to n F, rounded to 1 / DISTANCE_SCALE of a step.
+// |D| / n, where |D| is the deviation, from 0 to n F, rounded to 1 / DISTANCE_SCALE of a step.
 fn rounded(n: u32, s: vec2<u32>) -> u32 {
     let whole = divided(deviation(n, s), n, FRACTION_BITS + 1u);
     // The rest is less than n; its quotient is (2 DISTANCE_SCALE rest + n) / (2 n).
@@ -127,7 +128,7 @@ fn indicate(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_i
         }
     }
     workgroupBarrier();
-    // Two cells per thread: a word of the page.
+    // Each thread writes two cells, which form one word of the page.
     for (var pair = local.x; pair < OCTANT_CELLS / 2u; pair += 256u) {
         let cell = 2u * pair;
         let inside = vec3(cell % OCTANT, cell / OCTANT % OCTANT, cell / (OCTANT * OCTANT));

@@ -1,5 +1,5 @@
 //! with ramp
-// Reduces clouds in the bulk, so that it does not hide the feet of sheets.
+// Reduces clouds in the bulk, so that the bulk does not hide the feet of sheets.
 
 struct LoosePush {
     // Words of the fields.

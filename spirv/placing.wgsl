@@ -1,5 +1,5 @@
-// The position of a particle in steps, in the host's f64 arithmetic: floor((x - origin) / cell).
-// Uses `grid`, `positions` and `push` of the shader.
+// Computes the cell of a particle and its offset in the cell, from (x - origin) / cell in the
+// host's f64 arithmetic. Uses `grid`, `positions` and `push` of the shader.
 
 // The fate of a particle.
 const BINNED: u32 = 0u;
@@ -10,7 +10,7 @@ const OUTSIDE: u32 = 3u;
 struct Placed {
     fate: u32,
     cell: vec3<i32>,
-    // 0 to 2^FRACTION_BITS - 1.
+    // The offset in the cell, from 0 to 2^FRACTION_BITS - 1.
     offset: vec3<u32>,
 }
 
@@ -57,7 +57,7 @@ fn place_particle(i: u32) -> Placed {
         if !is_finite(world[0]) || !is_finite(world[1]) || !is_finite(world[2]) {
             placed.fate = NOT_FINITE;
         } else {
-            // Outside the walls, it does not matter whether the grid can hold the particle.
+            // With walls, a particle that is too far away for the grid counts as outside the walls.
             placed.fate = select(TOO_FAR, OUTSIDE, grid.walled != 0u);
         }
         return placed;

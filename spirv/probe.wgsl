@@ -1,6 +1,6 @@
 //! with block
-// Probes the wide cells around each region: whether any is inside, whether any is outside, and the
-// box around the cells near which particles stand out.
+// Probes the wide cells around each region: whether any cell is inside, whether any cell is
+// outside, and the box around the cells near which particles stand out.
 
 struct RegionProbe {
     // The region's lowest wide cell, and the number of the block that contains its cells.
@@ -12,7 +12,8 @@ struct RegionProbe {
 }
 
 struct ProbeResult {
-    // Whether any sample is above the threshold, and whether any sample is not above it.
+    // Whether any sample is above the threshold, and whether any sample is at or below the
+    // threshold.
     above: u32,
     below: u32,
     // The box around the cells near which particles stand out, relative to the region's lowest wide
@@ -24,7 +25,7 @@ struct ProbeResult {
 struct ProbePush {
     // Samples of the field above this threshold are inside.
     threshold: u32,
-    // Particles stand out where the outlying sample exceeds this.
+    // Particles stand out where the sample in `outlying` exceeds this number.
     begin: u32,
 }
 

@@ -1,4 +1,4 @@
-// Clouds divided by the clouds around them.
+// Divides clouds by the smoothed clouds.
 
 struct QuotientPush {
     // Words of the field.

@@ -1,4 +1,5 @@
-// The ramp at a value: from 0 to 4096, as 3 x^2 - 2 x^3 rises from 0 to 1.
+// A smooth ramp from 0 at `begin` to 4096 at `begin` + `range`: 4096 (3 x^2 - 2 x^3), where x rises
+// from 0 to 1.
 
 struct Ramp {
     begin: u32,

@@ -78,7 +78,8 @@ fn refine(@builtin(global_invocation_id) id: vec3<u32>) {
     for (var i = 0; i < 3; i++) {
         rows[i] = around.size.x / 2u * wide_place(around, 1u, (cell.y >> push.level) + i - 1);
     }
-    // Both cells of the pair in each plane of wide cells that the run needs.
+    // The interpolated samples of both cells of the pair, in each plane of wide cells that the run
+    // needs.
     let lowest = (cell.z >> push.level) - 1;
     let highest = (cell.z + i32(RUN) - 1) >> push.level;
     var planes: array<vec2<u32>, PLANES>;

@@ -113,7 +113,7 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let centre = at(block, cell);
     let below = vec3(at(block, cell - x), at(block, cell - y), at(block, cell - z));
     let above = vec3(at(block, cell + x), at(block, cell + y), at(block, cell + z));
-    // In the planes xy, xz and yz.
+    // The sums over the ends of the diagonals in the planes xy, xz and yz.
     let same = vec3(
         at(block, cell + x + y) + at(block, cell - x - y),
         at(block, cell + x + z) + at(block, cell - x - z),

@@ -62,7 +62,7 @@ fn bit_of(mask: vec2<u32>, bit: u32) -> u32 {
     return (mask[bit / 32u] >> (bit % 32u)) & 1u;
 }
 
-// Set bits below `bit`.
+// The number of set bits below `bit`.
 fn ones_below(mask: vec2<u32>, bit: u32) -> u32 {
     let part = (1u << (bit % 32u)) - 1u;
     return select(countOneBits(mask.x & part), countOneBits(mask.x) + countOneBits(mask.y & part), bit >= 32u);

@@ -1,6 +1,6 @@
 //! with tile surface
-// The triangles of every dual cell: one work group per tile, one thread per cell. The number of a
-// vertex is the first number of its tile, plus its rank among the tile's crossed edges.
+// Writes the triangles of every dual cell: one work group per tile, one thread per cell. The number
+// of a vertex is the first number of its tile, plus its rank among the tile's crossed edges.
 
 struct TrianglesPush {
     // The number of the first tile.
@@ -24,7 +24,7 @@ var<immediate> push: TrianglesPush;
 // crossed edges, and the number of the first vertex on them.
 var<workgroup> crossed_edges: array<vec2<u32>, 24>;
 var<workgroup> first_vertices: array<u32, 24>;
-// For each cell, the number of triangles up to it.
+// For each cell, the number of triangles of this cell and of all cells before it.
 var<workgroup> sums: array<u32, 64>;
 
 // The number of the tile with this Morton index in a block; NO_BLOCK if there is none.
@@ -52,7 +52,8 @@ fn morton_of(tile: vec3<u32>) -> u32 {
     return spread.x | (spread.y << 1u) | (spread.z << 2u);
 }
 
-// Computes the vertex numbers of the tile above in a corner's direction.
+// Computes the vertex numbers of the upper neighbour in a corner's direction; for corner 0, of the
+// tile itself.
 fn number_above(tile: u32, block: u32, corner: u32) {
     let at = tile_from_morton(tiles[tile * TILE_WORDS]) + vec3(corner & 1u, (corner >> 1u) & 1u, corner >> 2u);
     let beyond = at / BLOCK_EDGE_TILES;

@@ -23,8 +23,8 @@ var<immediate> push: VerticesPush;
 // The positions, as the bits of f32, because a device may flush subnormal f32 to 0.
 @group(0) @binding(5) var<storage, read_write> positions: array<u32>;
 
-// The position of a vertex along its edge. Equal samples belong to a cell and its mirror image
-// beyond a wall.
+// The position of a vertex along its edge. If both samples are equal, they belong to a cell and its
+// mirror image beyond a wall, and the vertex is halfway between the two.
 fn fraction(samples: u32) -> vec2<u32> {
     let lower = i32(samples & 0xffffu);
     let upper = i32(samples >> 16u);

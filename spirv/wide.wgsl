@@ -13,7 +13,7 @@ fn less(a: vec2<u32>, b: vec2<u32>) -> bool {
     return a.y < b.y || (a.y == b.y && a.x < b.x);
 }
 
-// n <= 63.
+// A shift to the left by n bits, where n is at most 63.
 fn left(a: vec2<u32>, n: u32) -> vec2<u32> {
     if n == 0u {
         return a;
@@ -24,7 +24,7 @@ fn left(a: vec2<u32>, n: u32) -> vec2<u32> {
     return vec2(a.x << n, (a.y << n) | (a.x >> (32u - n)));
 }
 
-// n <= 63.
+// A shift to the right by n bits, where n is at most 63.
 fn right(a: vec2<u32>, n: u32) -> vec2<u32> {
     if n == 0u {
         return a;

@@ -8,7 +8,7 @@
 //! | try several surfaces of the same particles | [`Reconstruction::sample`], which gives a [`Frame`] |
 //! | convert the files of a simulation | [`Simulation`] |
 //! | mesh frames from memory with one calibration, while a simulation runs | [`LiveSimulation`] |
-//! | mesh a frame that exceeds one machine | [`Parts`] |
+//! | mesh a frame that is too large for one machine | [`Parts`] |
 //! | add attributes to positions in memory | [`Cloud`] |
 //! | set every option of the program | [`Settings`] |
 //! | cancel any of these | [`Cancel`] |
@@ -129,10 +129,12 @@
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```
 //!
-//! From particles to the field, all arithmetic is on integers. The result therefore depends only on
-//! the input, and not on the order of the particles, on the number of threads, or on how the field
-//! is stored. Every mesh is a closed, oriented 2-manifold. Vertices of neighbouring blocks become
-//! one vertex if they lie on the same grid edge, never because they have the same position.
+//! From particles to the field, almost all steps use integer arithmetic. The other steps use
+//! floating-point numbers, and perform their operations in a fixed order. The result therefore
+//! depends only on the input, and not on the order of the particles, on the number of threads, or
+//! on how the field is stored. Every mesh is a closed, oriented 2-manifold. Vertices of
+//! neighbouring blocks become one vertex if they lie on the same grid edge, never because they have
+//! the same position.
 //!
 //! [`method`] gives the formulas with their sources, [`guide`] is the guide for users, and
 //! [`guide::glossary`] explains the terms. To change meniscus, see [`guide::contributing`] and
@@ -322,7 +324,8 @@ pub mod internals {
     pub mod field {
         pub use crate::field::*;
     }
-    /// One frame, within its memory budget: particles to a field, the field to a surface.
+    /// One frame, within its memory budget: from particles to a field, and from the field to a
+    /// surface.
     pub mod frame {
         pub use crate::frame::*;
     }

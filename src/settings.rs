@@ -1,7 +1,8 @@
-//! Settings of a surface: name, type and help of each, defined once.
+//! Settings of a surface. The name, the type and the help of each setting are defined once.
 //!
-//! The command line is parsed into [`Settings`], the bindings fill them by name, state files and
-//! plans store them, and errors name them by [`Setting`]. Numbers are checked where they are used.
+//! The command line is parsed into [`Settings`], and the bindings set its fields by name. State
+//! files and plans store settings, and errors name them by [`Setting`]. Numbers are checked where
+//! they are used.
 
 mod faces;
 mod plain;
@@ -28,7 +29,7 @@ pub use value::{FromSource, Iso, MethodName, Source};
 pub struct Setting(&'static str);
 
 impl Setting {
-    /// A setting by the name of its field.
+    /// A setting by the name of its field, without the prefix `r#` of a raw identifier.
     const fn of_field(field: &'static str) -> Self {
         match field.as_bytes().split_first_chunk::<2>() {
             Some((b"r#", name)) => Self(match str::from_utf8(name) {
@@ -63,7 +64,7 @@ impl Setting {
         self.0.replace('_', "-")
     }
 
-    /// Short help for people: the first paragraph of the setting's documentation, on one line.
+    /// The short help: the first paragraph of the setting's documentation, on one line.
     #[must_use]
     pub fn help(self) -> String {
         let place = Settings::ALL.iter().position(|known| *known == self);
@@ -375,8 +376,8 @@ settings! {
 pub type StoredSettings = Map<String, Value>;
 
 /// Names of the settings that differ from the settings of an earlier run, joined by commas; empty
-/// if none differs. If the earlier run had another `version`, the result says only this, because
-/// another version may give a different mesh.
+/// if none differs. If the earlier run had another `version`, the result names only the version,
+/// because another version may give a different mesh.
 pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSettings) -> String {
     if version != env!("CARGO_PKG_VERSION") {
         return "the version of meniscus".into();
@@ -444,8 +445,9 @@ impl Settings {
         matches!(self.size_choice(), SizeChoice::Named(_))
     }
 
-    /// The settings in a form that is the same for all settings that make the same mesh: with a
-    /// spacing instead of a radius, and without values that equal the default.
+    /// The settings in a plain form: a spacing instead of a radius, all conditions joined into one,
+    /// `none` instead of an empty list of attributes, and no value for an automatic isovalue or for
+    /// the method `dif`, which are the defaults.
     pub(crate) fn plain(&self) -> Self {
         let iso = self.isovalue().map(Iso::Value);
         let none = || vec!["none".to_owned()];
@@ -497,8 +499,8 @@ impl Settings {
         Some(if names == ["none"] { &[] } else { names })
     }
 
-    /// The settings as state files and plans store them. Settings that make the same mesh are
-    /// stored alike.
+    /// The settings as state files and plans store them. Different settings that make the same mesh
+    /// are stored in the same form.
     #[must_use]
     pub fn kept(&self) -> StoredSettings {
         // The isovalue is rounded to the nearest step of the field.

@@ -7,7 +7,7 @@
 #![allow(
     dead_code,
     clippy::unwrap_used,
-    reason = "modules of others are here whole, of which this uses a part"
+    reason = "this program uses only some items of the shared modules"
 )]
 
 #[path = "fuzz/mutate.rs"]
@@ -23,7 +23,8 @@ use std::time::{Duration, Instant};
 
 use targets::Target;
 
-/// In fast targets, every byte of each seed that has fewer bytes than this is damaged in turn.
+/// A seed is small if it has fewer bytes than this. In fast targets, the test damages every byte of
+/// each small seed, one byte at a time.
 const SHORT: usize = 2000;
 /// A target is fast if it has at least this number of runs.
 const QUICK: u32 = 2000;
@@ -38,11 +39,11 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
     let mut run = |what: &dyn std::fmt::Display, data: &[u8]| {
         runs += 1;
         if catch_unwind(AssertUnwindSafe(|| (target.run)(data))).is_err() {
-            panic!("{}: {what} of its seeds fails: {}", target.name, data.escape_ascii());
+            panic!("{}: {what} fails: {}", target.name, data.escape_ascii());
         }
     };
     for (number, seed) in seeds.iter().enumerate() {
-        run(&format_args!("number {number}"), seed);
+        run(&format_args!("seed {number}"), seed);
     }
     // In fast targets, damage every byte of the small seeds.
     for (number, seed) in
@@ -53,12 +54,12 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
         {
             let mut data = seed.clone();
             data[at] ^= mask;
-            run(&format_args!("number {number} with byte {at} changed by {mask:#x}"), &data);
+            run(&format_args!("seed {number} with byte {at} XORed with {mask:#x}"), &data);
         }
     }
     for number in 0..u64::from(target.runs) * u64::from(times) {
         let data = mutate::mutated(&seeds, target.words, number);
-        run(&format_args!("mutation {number}"), &data);
+        run(&format_args!("mutation {number} of the seeds"), &data);
     }
     (runs, begun.elapsed())
 }
@@ -75,7 +76,8 @@ fn no_mutation_of_any_input_brings_a_target_down() {
     chosen.reverse();
     let left = Mutex::new(chosen);
     let worker = || {
-        // Keep the library's parallel work on this thread, so that no target waits for another.
+        // Make the library run its parallel work on this thread. Otherwise, targets on different
+        // threads would wait for each other.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let next = || left.lock().unwrap().pop();
         while let Some(target) = next() {
@@ -87,6 +89,6 @@ fn no_mutation_of_any_input_brings_a_target_down() {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         let workers: Vec<_> = (0..threads).map(|_| scope.spawn(worker)).collect();
         let failed = workers.into_iter().filter_map(|worker| worker.join().err()).count();
-        assert_eq!(failed, 0, "targets failed, see above");
+        assert_eq!(failed, 0, "some targets failed; see the messages above");
     });
 }

@@ -125,9 +125,9 @@ fn the_up_axis_points_up_in_the_picture() {
     let tower = cuboid([0.0; 3], [1.0, 10.0, 1.0]);
     let draw = |up| red_box(&small().up(up).colour(RED).draw(&tower).unwrap());
     let [left, right, top, bottom] = draw(UpAxis::Y);
-    assert!(bottom - top > 3 * (right - left), "the tower stands with y up");
+    assert!(bottom - top > 3 * (right - left), "with y up, the tower must stand");
     let [left, right, top, bottom] = draw(UpAxis::Z);
-    assert!(right - left > bottom - top, "the tower lies with z up");
+    assert!(right - left > bottom - top, "with z up, the tower must lie");
 }
 
 #[test]
@@ -639,7 +639,8 @@ fn a_simulation_becomes_pictures_a_sheet_or_an_animation_of_one_camera() {
         let seen: Vec<usize> = seen.collect();
         seen.iter().sum::<usize>() / seen.len()
     });
-    assert!(columns.is_sorted_by(|a, b| a + 10 < *b), "the ball moves to the right: {columns:?}");
+    // The ball moves to the right.
+    assert!(columns.is_sorted_by(|a, b| a + 10 < *b), "{columns:?}");
 
     run(&["ball_10.ply", "ball_2.ply", "ball_7.ply", "-o", "sheet.png", "--size", "96x54"]);
     assert_eq!(png_size(&at("sheet.png")), [3 * 96 + 2 * 4, 54]);

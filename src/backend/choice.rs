@@ -1,4 +1,5 @@
-//! The choice of a backend: the CPU, a device that the caller names, or whichever is faster.
+//! The choice of a backend: the CPU, a device that the caller names, or the backend that is likely
+//! to be faster.
 
 use std::fmt;
 use std::path::{Path, PathBuf};

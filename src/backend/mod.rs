@@ -88,7 +88,7 @@ pub trait Stages: Debug + Send + Sync {
     /// less device memory or on the CPU.
     fn warnings(&self) -> Vec<String>;
 
-    /// Returns the part of the work so far that was done on a device; the CPU did the rest.
+    /// Returns the work that a device has done so far; the CPU did all other work.
     fn on_device(&self) -> Work;
 }
 
@@ -128,7 +128,8 @@ pub struct Surfaces<'a> {
 impl Surfaces<'_> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub fn regions(&self) -> Vec<CellBox> {
-        // A dual cell extends one cell up from its lowest corner.
+        // A dual cell extends one cell up from its lowest corner, so the lowest dual cells at a
+        // wall begin one cell below the cells within the walls.
         let dif = &self.sampled.dif;
         let reach = dif.ghost_layer() + self.recipe.filters.reach();
         let walls = self.mesh_walls();
@@ -152,7 +153,7 @@ impl Surfaces<'_> {
     fn is_at_solid(&self, region: CellBox) -> bool {
         let Filters::Distances(distances) = &self.recipe.filters else { return false };
         let wide = distances.wide_cells(self.normals.cells(region));
-        // With an offset, the fluid ends at that distance from a solid.
+        // The fluid ends at the distance `offset` from the solid.
         let facts = &self.sampled.facts;
         let is_near = |solid: &&Solid| {
             let offset = solid.offset().abs() * facts.spacing_cells_or_one();

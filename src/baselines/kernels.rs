@@ -165,7 +165,8 @@ fn centres(place: DVec3, reach: DVec3, corner: IVec3) -> CellBox {
 
 impl<S: Scheme> KernelField for Kernels<S> {
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox> {
-        // A dual cell reaches one cell up from its lowest corner.
+        // A dual cell extends one cell up from its lowest corner, so the lowest dual cells that
+        // contain a reached cell begin one cell below it.
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
         let reached = self.bins.iter().map(|reached| cut(reached.cells.grown(1, 0)));

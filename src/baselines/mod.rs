@@ -95,7 +95,7 @@ impl KernelMethod {
         bytes as u64
     }
 
-    /// Bytes per cell while a field is made: those of the largest sum, and those of the field.
+    /// Bytes per cell while a field is computed: the bytes of the largest sum, and of the field.
     pub const CELL_BYTES: u64 =
         (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
 }
@@ -104,7 +104,7 @@ impl KernelMethod {
 /// kernels need more than `bytes` bytes, they go to a scratch file in `folder`.
 ///
 /// # Errors
-/// If scratch files fail.
+/// If a scratch file cannot be created, read or written.
 pub fn kernel_field(
     bins: &Bins,
     method: KernelMethod,

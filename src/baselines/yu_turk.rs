@@ -33,7 +33,7 @@ const LAMBDA: f64 = 0.5;
 const K_R: f64 = 4.0;
 /// The width of a kernel with few neighbours, divided by h.
 const K_N: f64 = 0.5;
-/// A particle with at most this many neighbours has few neighbours.
+/// A particle with at most this many neighbours has a kernel of the width `K_N`.
 const N_EPSILON: usize = 25;
 /// The neighbourhood's radius, divided by h.
 const NEIGHBOURHOOD: f64 = 2.0;

@@ -36,9 +36,10 @@ const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 pub struct CountingRoom {
     /// Maximum number of bins.
     pub bins: usize,
-    /// Maximum number of particles for which places are kept: a larger frame keeps none. A place
-    /// consists of the rank of a bin and a packed position, and takes [`Self::PLACE`] bytes. If
-    /// places are kept, the second reading does not read the positions again.
+    /// Maximum number of particles for which places are kept. No places are kept for a larger
+    /// frame. A place consists of the rank of a bin and a packed position, and takes
+    /// [`Self::PLACE`] bytes. If places are kept, the second reading does not read the positions
+    /// again.
     pub places: usize,
 }
 
@@ -327,8 +328,8 @@ impl BinPlan {
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
         let (binned, mut next) = (census.binned, first.clone());
-        // For each range and each of its bins, the next free slot; for a bin without particles, the
-        // end of all slots.
+        // For each range and each of its bins, `cursors` has the next free slot. For a bin without
+        // particles, it has the end of all slots.
         let cursors: Vec<Vec<usize>> = ranges
             .iter()
             .map(|RangePlan { table, ranks, .. }| {
@@ -549,8 +550,8 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
-        // Number of bins along each axis. In the second case, the numbers of the bins do not fit
-        // into a kept place.
+        // `bins` is the number of bins along each axis. In the second case, the ranks of the bins
+        // do not fit into a kept place.
         for bins in [5, 25] {
             let coordinate =
                 |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
@@ -568,7 +569,7 @@ mod tests {
                 assert_eq!(with.census(), without.census());
                 assert!(
                     binned(with, &particles) == binned(without, &particles),
-                    "{bins} bins an axis"
+                    "{bins} bins per axis"
                 );
             }
         }

@@ -102,8 +102,8 @@ impl Bins {
         }
     }
 
-    /// Bytes of tables per bin, until the surface is finished. They do not depend on the number of
-    /// particles in the bin.
+    /// Bytes that each bin takes in tables until the surface is finished. This size does not depend
+    /// on the number of particles in the bin.
     pub const TABLE_BYTES: u64 = 344;
 
     /// For each attribute, the number of particles without a finite value, because the value

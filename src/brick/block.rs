@@ -349,10 +349,10 @@ impl<T: Copy + Default> Block<T> {
         self.samples.truncate(volume);
     }
 
-    /// Replaces the samples beyond the planes of `mirror`, if there is one, with their mirror
-    /// images. Beyond the reach of the filters, where an image is not in the block, an outermost
-    /// sample of the block is used instead. A block that lies completely beyond a plane does not
-    /// change.
+    /// Replaces each sample beyond the planes of `mirror`, if there is one, with the sample of the
+    /// cell that is mirrored there. If the block does not contain this cell, which happens only
+    /// beyond the reach of the filters, the nearest cell of the block is used instead. A block that
+    /// lies completely beyond a plane does not change.
     pub fn mirror(&mut self, mirror: Option<Mirror>) {
         let Some(mirror) = mirror else { return };
         let (cells, inside) = (self.cells, mirror.cells());

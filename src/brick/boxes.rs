@@ -71,7 +71,7 @@ impl<'a> WithBoxes<'a> {
             ChunkExtent { first, extent: Mutex::new(Extent::NONE) }
         });
         let chunks = chunks.collect();
-        assert_eq!(end, particles.len(), "particles of all chunks");
+        assert_eq!(end, particles.len(), "the chunks contain all particles");
         Self { particles, grid: *grid, chunks }
     }
 

@@ -115,7 +115,7 @@ impl Halving {
         }
         let wide = wide_cells_of(bin, self.mirror);
         let mut sums = vec![0; dense.len()];
-        // Any part beyond a wall may hold the mirror image of content.
+        // Any cell beyond a wall may be the mirror image of a full cell, so no part is skipped.
         let parts = match self.mirror {
             Some(mirror) if !mirror.cells().covers(&fine) => vec![fine],
             _ => self.fine.parts_with_samples(fine),
@@ -265,7 +265,7 @@ mod tests {
                 let dense: Vec<u16> = (0..BIN.pow(3))
                     .map(|_| if random() % among == 0 { (random() % 30_000) as u16 + 1 } else { 0 })
                     .collect();
-                PageInfo::from_dense(bin, &dense, HALVED).expect("it holds something")
+                PageInfo::from_dense(bin, &dense, HALVED).expect("the bin has a full cell")
             })
             .collect();
         pages.sort_by_key(|(info, _)| info.key);
@@ -299,7 +299,8 @@ mod tests {
     fn wide_cells_match_the_formula_with_and_without_walls() {
         let faces = CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) };
         let odd = Mirror::new(faces);
-        // Planes in the middles of cells, in the last and in the first wide cell of a bin.
+        // These mirrors have planes through the middles of wide cells: `last` in the last wide cell
+        // of a bin, `first` in the first wide cell.
         let last = CellBox { lo: IVec3::new(-1, -3, -1), hi: 2 * faces.hi };
         let first = CellBox { lo: -2 * faces.hi, hi: IVec3::new(1, 33, 60) };
         let [last, first] = [last, first].map(|cells| Mirror::new(cells).in_wider_cells(1));

@@ -65,7 +65,7 @@ impl DifField {
         pages: Box<dyn RemotePages>,
         otherwise: Box<dyn PageSource>,
     ) -> Self {
-        debug_assert_eq!(infos.len(), pages.count(), "pages are those of the infos");
+        debug_assert_eq!(infos.len(), pages.count(), "one info per page");
         Self::new(shape, infos, PageStore::remote(pages, otherwise))
     }
 
@@ -393,9 +393,9 @@ pub trait RemotePages: Send + Sync + Debug {
         factor: Factor,
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)>;
 
-    /// For each page, one bit per brick of 4^3 cells, at the brick's Morton index. The bit is set
-    /// if the sum of the samples is at least `least` in every cube that overlaps the brick. The
-    /// cells are divided into parts, which are two cells wide. A cube begins at each part, and has
-    /// `width` parts along each axis.
+    /// For each page, one bit per brick of 4^3 cells, at the brick's Morton index. The cells are
+    /// divided into parts of 2^3 cells. At each part begins a cube with `width` parts along each
+    /// axis. The bit of a brick is set if the sum of the samples is at least `least` in every cube
+    /// that overlaps the brick.
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>>;
 }

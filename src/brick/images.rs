@@ -1,9 +1,9 @@
 //! Particles of a periodic box together with their images, so that binning need not handle periodic
 //! boxes.
 //!
-//! Images have the indices after the last particle, and are never stored. The number of images is
-//! known for each group of particles. Reading images recomputes them from the particles of their
-//! groups. Groups without images are not read again.
+//! Images have the indices after the last particle, and are never stored. [`WithImages::of`] counts
+//! the images of each group of particles. Each read of images recomputes them from the particles of
+//! their groups, and does not read groups without images.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -192,8 +192,8 @@ impl Images<'_> {
         mut take: impl FnMut(Range<usize>, &[usize], &[[f64; 3]]),
     ) {
         let wanted = first as u64..(first + count) as u64;
-        // The last group whose images begin at or before the first wanted image. Earlier groups
-        // that begin at the same image have no images.
+        // `begin` is the last group whose images begin at or before the first wanted image. Earlier
+        // groups that begin at the same image have no images.
         let begin = self.before.partition_point(|&before| before <= wanted.start).saturating_sub(1);
         let ends = self.before[1..].iter().enumerate().skip(begin);
         let groups = ends.take_while(|&(group, _)| self.before[group] < wanted.end);
@@ -347,7 +347,7 @@ mod tests {
         let at = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
         let mut positions: Vec<[f64; 3]> =
             (0..5000).map(|i| [at(i, 0), at(i, 1), at(i, 2)]).collect();
-        // A whole group far from all faces.
+        // All particles of the third group are far from all faces.
         positions[2048..3072].fill([0.5; 3]);
         (positions[7], positions[8], positions[9]) =
             ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);

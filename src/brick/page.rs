@@ -279,7 +279,7 @@ pub fn fullness(samples: &[u16]) -> Vec<u8> {
 /// If the row has more than 128 bytes.
 #[inline]
 pub fn full_bits(row: &[u8]) -> u128 {
-    assert!(row.len() <= 128, "a row of {} cells", row.len());
+    assert!(row.len() <= 128, "a row of {} cells exceeds 128 bits", row.len());
     let (eights, rest) = row.as_chunks::<8>();
     let rest = rest.iter().rev().fold(0, |bits, &full| bits << 1 | u128::from(full));
     // The multiplication moves byte i to bit 56 + i.

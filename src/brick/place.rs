@@ -130,7 +130,8 @@ impl Placer {
         for first in range.clone().step_by(CHUNK) {
             let count = CHUNK.min(range.end - first);
             particles.positions(first, &mut positions[..count]);
-            // The unused entries repeat a position of the chunk.
+            // The unused entries repeat a position of the chunk, so they do not change the result
+            // of `place_all`.
             let rest = positions[0];
             positions[count..].fill(rest);
             if !place_all(&bounds, &positions, &mut addresses) {
@@ -243,7 +244,8 @@ mod tests {
             end: MortonKey::of(IVec3::new(7, -3, 2)),
         };
         let wanted = WantedBins { stretch, sight };
-        // More bins along each axis than the cache can hold, each looked up several times.
+        // There are more bins along each axis than the cache can hold, and each bin is looked up
+        // several times.
         let (edge, mut sieve) = (41_i64, BinSieve::new(wanted, 1));
         let address = |i: i64| {
             let at = i * 7919 % edge.pow(3);
@@ -267,7 +269,8 @@ mod tests {
     fn a_chunk_is_placed_like_its_single_particles() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
         let walls = Domain::new(&grid, DVec3::splat(-3.1), DVec3::new(40.0, 50.0, 60.7)).unwrap();
-        // Multiples of a step, and their neighbours on both sides.
+        // Coordinates are multiples of a step, and the nearest floating-point numbers on both
+        // sides.
         let world = |i: i64, axis: usize| {
             let step = (i * 7919) % 1_600_000 - 300_000 * axis as i64;
             let at = grid.origin()[axis] + grid.cell_size() * step as f64 / f64::from(FRACTIONS);

@@ -21,7 +21,7 @@ const RUN_BINS: usize = 1 << RUN_BITS;
 const RUN_BITS: u32 = FREE_BITS;
 
 /// Approximate maximum number of runs in a frame. The number of a run and the number of a bin
-/// within the run share 32 bits, which suffice for twice as many runs.
+/// within the run share 32 bits, which suffice for twice this number of runs.
 const MOST_RUNS: usize = 1 << (u32::BITS - RUN_BITS - 1);
 
 impl BinPlan {
@@ -53,7 +53,7 @@ impl BinPlan {
 
     /// Reads the same `particles` a second time, and writes each particle to its run, with the
     /// attributes whose indices are in `carried`. Buffers take `buffer_bytes` in total. Runs take
-    /// up to `memory_bytes` of memory; what exceeds this limit goes to a scratch file in `folder`.
+    /// up to `memory_bytes` of memory; data beyond this limit goes to a scratch file in `folder`.
     ///
     /// # Errors
     /// If the scratch file cannot be created or written. The inner error is

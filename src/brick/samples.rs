@@ -68,7 +68,7 @@ impl PageSamples {
         }
         let edge = shape.edge() as usize;
         let mut sparse = Vec::with_capacity(nonzero);
-        // Zeros are skipped many at a time.
+        // Zeros are skipped 16 at a time.
         let (many, rest) = samples.as_chunks::<16>();
         for (first, samples) in
             (0..).step_by(16).zip(many.iter().map(|many| &many[..]).chain([rest]))

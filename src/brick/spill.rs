@@ -64,7 +64,8 @@ impl RunParticles {
 /// The memory that pieces may take.
 #[derive(Debug)]
 struct SpillBudget {
-    /// Maximum bytes, including the memory that visitors keep for the runs that they have seen.
+    /// Maximum bytes of the pieces and of the data that a visitor keeps from the runs that it has
+    /// received so far.
     most: u64,
     /// Bytes that pieces take.
     taken: AtomicU64,
@@ -308,7 +309,7 @@ impl SpilledBins {
     /// If the scratch file cannot be created.
     pub fn sorted_store(&self, folder: &Path) -> io::Result<SortedStore> {
         let scratch = Scratch::in_folder(folder)?;
-        let particles = *self.first.last().expect("there is always an end") as u64;
+        let particles = *self.first.last().expect("`first` always has a last entry") as u64;
         let records_at = scratch.reserve(particles * size_of::<Record>() as u64);
         let attributes_at = self
             .components
@@ -497,7 +498,7 @@ mod tests {
         let room = CountingRoom::BINS;
         let plan = BinPlan::count(&particles, &grid, None, InvalidParticles::Refuse, room).unwrap();
         let runs = plan.runs(&particles, &[], 5000 * 8);
-        assert!(runs.len() > 6, "{} runs tell nothing", runs.len());
+        assert!(runs.len() > 6, "{} runs are too few for this test", runs.len());
         let folder = tempfile::tempdir().unwrap();
         let spilled = plan.spill(&particles, &[], runs, folder.path(), 1 << 16, memory_bytes);
         let spilled = spilled.unwrap().unwrap();
@@ -529,7 +530,7 @@ mod tests {
         assert!(in_memory[0][0] >= all, "{in_memory:?}");
         assert!(
             in_memory.is_sorted_by(|a, b| a[0] > b[0]),
-            "visited runs keep their memory: {in_memory:?}"
+            "visited runs did not release their memory: {in_memory:?}"
         );
         let (bins, in_both) = visited(all / 2, 0);
         assert!(bins == expected);

@@ -68,7 +68,7 @@ impl PageStore {
             .estimated_items_capacity(items as usize)
             .weight_capacity(cache_bytes)
             .build()
-            .expect("all that has no default is given");
+            .expect("every option without a default is set");
         let cache =
             Cache::with_options(options, PageWeighter, Default::default(), Default::default());
         Self::Paged { source, cache }
@@ -132,8 +132,9 @@ impl PageStore {
             let range = first..pages.count().min(first + TOGETHER);
             let made = |page| PageSamples::new(otherwise.samples(page).into(), shape);
             let samples = pages.samples(range.clone()).unwrap_or_else(|| range.map(made).collect());
-            // Two threads may fetch the same group. A lock would prevent this, but a thread that
-            // runs other work while it waits for the lock could wait for itself.
+            // Two threads may fetch the same group. A lock would prevent this, but could cause a
+            // deadlock: while the thread that holds the lock waits for parallel work, it may run
+            // another task, which may wait for the same lock.
             group.get_or_init(|| samples)
         });
         &fetched[page - first]

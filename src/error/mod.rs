@@ -74,7 +74,7 @@ pub enum Error {
     /// An input file that cannot be read.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// A condition that cannot be applied to particles in memory.
+    /// Conditions that cannot be applied to particles in memory, or that no particle satisfies.
     #[error(transparent)]
     Selection(SelectionFault),
     /// A requested Vulkan device that cannot be used.
@@ -141,7 +141,7 @@ pub enum Error {
         name: String,
         /// The names of the available attributes.
         known: Vec<String>,
-        /// If the reader skipped a part of the file with this name: a description of that part.
+        /// Description of the part of the file that has this name, if the reader skipped that part.
         left_out: Option<String>,
     },
     /// Particle sizes that cannot be taken from an attribute.
@@ -223,7 +223,8 @@ fn listed(names: &[String]) -> String {
     if names.is_empty() { "none".into() } else { names.join(", ") }
 }
 
-/// Lists the available attributes, after the part of the file that was left out, if there is one.
+/// Lists the available attributes. If the reader skipped a part of the file, the text begins with
+/// the description of that part.
 fn available(left_out: Option<&str>, known: &[String]) -> String {
     let known = listed(known);
     match left_out {
@@ -236,7 +237,7 @@ fn available(left_out: Option<&str>, known: &[String]) -> String {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Cause {
-    /// The request is wrong; nothing was done.
+    /// The request is wrong, or does not suit the input or the existing outputs.
     Request,
     /// The input is bad.
     Input,
@@ -270,8 +271,9 @@ impl From<SizeFault> for Error {
 }
 
 impl Error {
-    /// Returns the message, with the names that `name` gives to settings. A program passes the
-    /// names of its options, and a binding those of its keywords.
+    /// Returns the message, in which each setting has the name that `name` returns for it. For the
+    /// command-line program, `name` returns the names of options. For a binding, it returns the
+    /// names of keywords.
     #[must_use]
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
@@ -298,8 +300,8 @@ impl Error {
         self
     }
 
-    /// If the missing attribute is one of the `parts` that the reader left out of the file, adds
-    /// this fact to the error.
+    /// If the missing attribute is one of the `parts` of the file that the reader skipped, adds the
+    /// description of that part to the error.
     #[must_use]
     pub(crate) fn of_left_out(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {
@@ -331,7 +333,7 @@ impl Error {
             #[cfg(feature = "pictures")]
             Self::Picture { .. } => Cause::Request,
             // The conditions can be right even if no particle of this frame satisfies them, because
-            // particles of another frame may. The cause is therefore the input.
+            // particles of other frames may satisfy them. The cause is therefore the input.
             Self::Selection(SelectionFault::None { .. })
             | Self::Read(ReadError {
                 fault: ReadFault::Selection(SelectionFault::None { .. }),

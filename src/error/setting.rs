@@ -31,7 +31,7 @@ pub enum Conflict {
     },
     /// A frame that was already sampled with another value of the setting.
     Sampled,
-    /// A surface that is made on a device, from particles that are also there.
+    /// A surface that is made on a device, from particles in the memory of this device.
     OnDevice,
     /// The format of the mesh.
     Format {
@@ -53,7 +53,7 @@ pub struct SettingConflict {
 }
 
 impl SettingConflict {
-    /// Returns the message, with the names that `name` gives to settings.
+    /// Returns the message, in which each setting has the name that `name` returns for it.
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         let setting = name(self.setting);
         let named = |name_of: &'static str| name(Setting::named(name_of));
@@ -145,7 +145,8 @@ impl SettingConflict {
             ),
             (Conflict::Format { path, format }, "attributes") if format.holds_colours() => format!(
                 "{}: {format} cannot store {setting} other than one colour (3 or 4 numbers from 0 \
-                 to 1, or integers from 0 to 255, with a name such as Cd); use .ply for others",
+                 to 1, or integers from 0 to 255, with a name such as Cd); use .ply for other \
+                 attributes",
                 path.display()
             ),
             (Conflict::Format { path, format }, _) => {

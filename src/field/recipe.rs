@@ -184,7 +184,7 @@ impl PaperFilters {
 /// The shares of drops, blended with the shares of sheets, and the certainty of the sheets.
 #[derive(Debug, Clone)]
 pub struct ThinShares<T> {
-    /// The shares.
+    /// The shares: N of step 4 in [`distance`](crate::field::distance), in 32768ths.
     pub shares: T,
     /// The certainty of the sheets, if there are any.
     pub certainty: Option<T>,
@@ -321,8 +321,8 @@ pub trait Fields {
     type Error;
 
     /// The samples around the requested cells, in cells 2^`level` times as wide, with a halo of
-    /// `halo` of these wider cells. Even without the halo, the requested cells lie between the
-    /// middles of the wider cells.
+    /// `halo` of these wider cells. Even with a halo of 0, the requested cells lie between the
+    /// middles of the outermost wider cells.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// Clouds, continued into solids: see [`solid`](crate::field::solid). `scale` is the factor in

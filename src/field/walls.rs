@@ -89,11 +89,11 @@ const LARGEST: f64 = 1.3;
 /// The evidence of one frame about a side of the box around the particles.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum BoxSide {
-    /// Too little fluid is behind this side, or the fluid does not end at quite the same level.
+    /// Too little fluid is behind this side, or the end of the fluid is not level enough.
     Unclear,
     /// Almost no particles are at this side.
     Stray,
-    /// The fluid ends far from a plane.
+    /// Too few columns end near the plane, or the density behind the plane is not that of fluid.
     Ragged,
     /// A plane, with a wall at this coordinate.
     Plane(f64),
@@ -485,7 +485,8 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
         }));
         return (walls, true);
     }
-    // In two dimensions, the axis that points up is y or z, whichever lies in the plane.
+    // If `up` is not given, and only one of the axes y and z lies in the plane of two-dimensional
+    // particles, that axis points up.
     let in_plane = frames.first().and_then(|frame| frame.flat);
     let up = up.or(in_plane.and_then(|flat| [None, Some(2), Some(1)][flat]));
     let mut walls = Walls([0, 1, 2].map(|axis| [0, 1].map(|end| common_wall(frames, axis, end))));
@@ -502,7 +503,7 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     let spacing = spacing_at(frames, axis, end);
     let mut planes: Vec<f64> = frames.iter().filter_map(|frame| frame.plane(axis, end)).collect();
     planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
-    // Only the outermost plane can be a wall: particles pass the other planes.
+    // Only the outermost plane can be a wall, because particles lie beyond the other planes.
     let wall = planes.into_iter().next()?;
     let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
     let (mut shown, mut against) = (0, 0);

@@ -32,7 +32,8 @@ pub struct CoincidentCounts {
 
 /// Number of bits of the hash that finds records which may occur twice.
 const BITS: u32 = 13;
-/// If a bin has more records than this, the hash finds too many of them.
+/// Maximum number of a bin's records for which the hash is used. Among more records, too many
+/// different records have equal hashes.
 const FEW: usize = 1 << (BITS - 1);
 
 impl CoincidentCounts {

@@ -117,9 +117,9 @@ impl<'a> CountedFrame<'a> {
         })
     }
 
-    /// Checks the surface request, then counts the particles for it. A `plan` of all particles
-    /// replaces the count. It must come from a sampling with the same settings, as far as they
-    /// affect a plan.
+    /// Checks the surface request, then counts the particles for it. If `plan` is given, it
+    /// replaces the count. `plan` must be a count of all particles, from a sampling in which the
+    /// settings that affect a plan were the same.
     pub fn for_surface(
         particles: &'a dyn Particles,
         sampling: &'a Sampling,
@@ -146,14 +146,14 @@ impl<'a> CountedFrame<'a> {
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
         let estimate = MemoryEstimate { places: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
-            // If particles have several sizes, clouds are computed from the sorted particles,
-            // octave by octave: once for their volumes and once for their sizes.
+            // If particles have several sizes, two DIFs are computed for each octave from the
+            // sorted particles: one for the particles' volumes, and one for their sizes.
             Method::Indicator { .. } if self.sampling.sizes.is_some() => {
                 MemoryEstimate { field: 2 * estimate.field, carried: true, ..estimate }
             }
             Method::Indicator { .. } => estimate,
-            // Kernels, also those of images, are kept until the surface is done. In the worst case,
-            // so are the particles.
+            // The kernels of particles and images are kept until the surface is done. In the worst
+            // case, the particles are kept as well.
             Method::Kernels(kernels) => {
                 let bytes = self.plan.census().binned as u64 * kernels.kernel_bytes();
                 MemoryEstimate { particles: estimate.particles + bytes, carried: true, ..estimate }
@@ -212,9 +212,9 @@ impl Sampling {
     }
 }
 
-/// Returns an error if the attributes exceed the budget even for a single block that the surface
-/// crosses as a plane. The values of a block are in memory twice, because they are copied on the
-/// way to a scratch file.
+/// Returns an error if the budget cannot hold the attributes of a single block through which the
+/// surface passes as a plane. The values of a block are in memory twice, because they are copied on
+/// the way to a scratch file.
 fn check_attribute_memory(
     particles: &dyn Particles,
     sampling: &Sampling,

@@ -2,7 +2,7 @@
 //! estimate.
 //!
 //! An estimate is made when the particles are counted by bin, before anything is stored for them.
-//! Every stage states its memory; this module adds it up.
+//! Each stage has functions that return its memory; this module adds up their results.
 
 use bytesize::ByteSize;
 use glam::IVec3;

@@ -23,7 +23,7 @@ use crate::grid::{BIN, MortonKey, block_of_bin};
 /// cells in the face, because a wrinkled surface has more vertices than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
-/// A particle has its own surface if space of this volume, in cubed spacings, is empty around it.
+/// The volume, in cubed spacings, that must be empty around a particle that has its own surface.
 const ALONE: i32 = 8;
 
 /// The expected vertices of a surface.
@@ -229,8 +229,8 @@ mod tests {
         bins.dedup_by_key(|&mut (bin, _)| bin);
         let keyed = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         let expected = surface_of_octaves(keyed, 2, 1.0, |_| true).vertices as f64;
-        // In wide cells, the cube has six faces of 6 x 6 bins. The fine fluid has no face, but its
-        // bins are fuller than those around it.
+        // In wide cells, the cube has six faces of 6 x 6 bins. The fine fluid has no outer face. It
+        // adds vertices only because its bins are fuller than the bins around it.
         let faces = 6.0 * 36.0 * FACE;
         assert!((faces..1.15 * faces).contains(&expected), "{expected} of {faces}");
         // In the finest cells, the coarse fluid alone would have four times as many vertices.
@@ -239,7 +239,7 @@ mod tests {
 
     #[test]
     fn the_expected_block_size_is_weighted_by_vertices() {
-        // A single drop changes little if eight bins of one block are full.
+        // Eight bins of one block are full, so a single drop elsewhere hardly changes the mean.
         let full =
             (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(2) }).cubes(1).map(|bin| (bin, 4096));
         let bins: Vec<_> = full.chain([(IVec3::splat(9), 1)]).collect();

@@ -274,16 +274,17 @@ impl Row {
         };
         let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
         // For each tile that the surface passes through: the wide tile that contains it, its end
-        // along x, and whether the inside follows there. Behind the last of these tiles, the rest
-        // of the wide tile is on one side of the surface.
+        // along x, and whether the inside of the surface follows at this end. Behind the last of
+        // these tiles, the rest of the wide tile is on one side of the surface.
         let mut passed: Vec<([i32; 3], i32, bool)> = Vec::new();
         for piece in 0..surface.pieces() {
             let (block, level) = (surface.block(piece), surface.level(piece));
             let own = i32::from(level.level);
             for tile in &*surface.tiles(piece)? {
                 let place = tile.corner(block) / TILE;
-                // Narrower cells behind the tile have their own surface, so the tile's last cell
-                // decides.
+                // If the cells behind the tile are narrower, the surface between these cells and
+                // the tile belongs to their tiles. In this case, `behind` is the side of the tile's
+                // last cell instead of the side of the cell behind it.
                 let narrower = level.of_tile(tile).narrower[1] >> (TILE - 1) & 1 == 1;
                 let corner = usize::from(!narrower);
                 let behind = tile.corners[corner] >> (TILE - 1) & 1 == 1;

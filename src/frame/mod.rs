@@ -350,7 +350,8 @@ impl Engine {
     }
 
     /// Prepares a surface like [`calibrate`](Self::calibrate), but reports progress to `control`,
-    /// which can also cancel the work. The caller need not be the one that sampled the frame.
+    /// which can also cancel the work. `control` can differ from the control that was used to
+    /// sample the frame.
     pub fn calibrate_for<'a>(
         &'a self,
         surfacing: &Surfacing,
@@ -496,7 +497,7 @@ impl Engine {
     pub fn lacking_within(&self, stretch: Stretch) -> Result<Vec<u64>, FrameError> {
         let Some((bins, infos)) = &self.carried else { return Ok(Vec::new()) };
         let mut lacking = vec![0; infos.len()];
-        // Almost always, all particles have values.
+        // In almost all frames, all particles have finite values.
         if bins.without().iter().all(|&without| without == 0) {
             return Ok(lacking);
         }

@@ -135,8 +135,8 @@ impl Sampling {
         surfacing: &Surfacing,
         coarsest: Option<f64>,
     ) -> DecidingCells {
-        // The block of the widest cells that has the same lowest corner as the block, with the
-        // cells beyond its faces that dual cells and normals use.
+        // `block` is the block of the widest cells whose lowest corner is the origin. If there are
+        // several levels, it includes the cells beyond its faces that dual cells and normals use.
         let widest = if self.periodic.is_some() { 0 } else { self.octaves(coarsest) - 1 };
         let further = if widest == 0 { 0 } else { 4 << widest };
         let block = CellBox::cube(IVec3::ZERO, BLOCK << widest).grown(further, further);
@@ -201,8 +201,8 @@ impl Surfacing {
         solid: None,
     };
 
-    /// Checks that the cells are not too fine for the surface, as far as the particles' spacing
-    /// shows this without a DIF.
+    /// Checks, from the particles' spacing and before there is a DIF, that the cells are not too
+    /// fine for the surface. If the spacing is unknown, there is no check.
     ///
     /// # Errors
     /// [`TooFine`].

@@ -1,7 +1,7 @@
 //! One frame on a device from start to end, for programs whose particles are on the device. The
 //! input is a buffer of positions; the outputs are buffers of vertices and indices.
 //!
-//! The device can be the caller's ([`Device::adopt`]), and so can the buffer
+//! The caller can supply its own device ([`Device::adopt`]) and its own buffers
 //! ([`Device::external_buffer`]). The documentation of these two functions states the caller's
 //! obligations. The host reads neither the particles nor the mesh. It reads which parts of the DIF
 //! are nonzero, to find the blocks that the surface can pass through. If the calibration is

@@ -96,7 +96,7 @@ impl FieldSink {
                 *bytes += pages.iter().map(|(_, samples)| samples.bytes() as u64).sum::<u64>();
                 kept.extend(pages);
             }
-            Self::Whole(_) => unreachable!("no pages come after all"),
+            Self::Whole(_) => unreachable!("no pages follow a whole field"),
             Self::File { writer, full_cells, .. } => {
                 *full_cells += full_count(&pages);
                 writer.push(&pages, |samples| samples.dense(shape))?;

@@ -26,7 +26,7 @@ use super::{FrameError, Resources, SizedParticles, Surfacing};
 #[derive(Debug)]
 pub(super) struct SampledSizes {
     pub(super) sampled: SampledOctaves,
-    /// The clouds of all octaves, once for each level of cells: entry k has octave k as its first
+    /// For each level of cells, the clouds of all octaves. Entry k has octave k as its first
     /// octave.
     clouds: Vec<SizedClouds>,
     /// The blocks near particles of finer octaves, which determine the levels of cells.
@@ -83,8 +83,8 @@ impl SampledSizes {
         Ok(Self::new(sampled, sized.finer.as_ref()))
     }
 
-    /// Takes sampled clouds. The levels of cells follow from `finer`, or from the clouds if `finer`
-    /// is `None`.
+    /// Determines the levels of cells for sampled clouds: from `finer`, or from the clouds if
+    /// `finer` is `None`. In a periodic box, there is only one level.
     pub(super) fn new(sampled: SampledOctaves, finer: Option<&FinerBlocks>) -> Self {
         let clouds = &sampled.clouds;
         let finer = match (finer, sampled.facts.periodic) {

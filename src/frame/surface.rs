@@ -28,7 +28,7 @@ use crate::system::timings::Timings;
 
 use super::{FrameError, Resources};
 
-/// Adds to a mesh what its field does not provide, such as attributes.
+/// Adds data that does not come from the field, such as attributes, to a mesh.
 pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
 /// Takes finished meshes, in order.
 pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
@@ -191,12 +191,12 @@ impl<'a> CalibratedFrame<'a> {
     /// share, but at least [`BLOCKS_A_THREAD`] per thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
-        // Wide attributes are much larger than the mesh, so they are added to only some of the
-        // blocks that are meshed together at a time.
+        // Wide attributes are much larger than the mesh. They are added after meshing, to a few
+        // blocks at a time.
         let wide = are_wide(spool.components().iter().copied());
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_A_THREAD * rayon::current_num_threads();
-        // Any of these blocks may be full of spray.
+        // Any of these blocks can be full of spray, so each is assumed to be.
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.extracted.regions[..];
         let calibrating = if self.measured.is_some() { CALIBRATING } else { 0.0 };

@@ -64,8 +64,8 @@ impl Mirror {
     }
 
     /// The coordinate along `axis` of the cell whose mirror image lies at the coordinate `cell`.
-    /// Far beyond a wall, the image is an image of an image. Between the planes, a cell is its own
-    /// source.
+    /// If `cell` is farther beyond a wall than the planes are apart, the source is mirrored more
+    /// than once. Between the planes, a cell is its own source.
     #[must_use]
     pub fn source(&self, axis: usize, cell: i32) -> i32 {
         let (lo, length) = (self.lo[axis], self.hi[axis] - self.lo[axis]);

@@ -20,12 +20,12 @@ const AXES: [char; 3] = ['x', 'y', 'z'];
 pub struct Periodic {
     /// Faces of the box; an open axis has none.
     faces: Domain,
-    /// How far beyond the faces images exist, in cells.
+    /// The maximum distance of images from the faces, in cells.
     reach: i32,
     /// The length of the box along each axis, in fixed-point steps; 0 for an axis that is not
     /// periodic.
     period: [i64; 3],
-    /// How far beyond the faces images exist, in the particles' unit of length.
+    /// The maximum distance of images from the faces, in the particles' unit of length.
     reach_length: f64,
 }
 
@@ -129,8 +129,9 @@ impl Periodic {
         Ok(Self { faces, reach, period, reach_length })
     }
 
-    /// Converts the box to a grid with cells 2^`octaves` times as wide. Only the faces stay exact:
-    /// cells and steps are rounded.
+    /// Converts the box to a grid with cells 2^`octaves` times as wide. The coordinates of the
+    /// faces stay exact. The cells between the faces, the reach in cells and the period in steps
+    /// are rounded.
     #[must_use]
     pub fn in_wider_cells(self, octaves: u32) -> Self {
         let Self { faces, reach, period, reach_length } = self;
@@ -176,7 +177,7 @@ impl Periodic {
         [0, 1, 2].map(|axis| lo[axis].is_finite().then(|| [lo[axis], hi[axis]]))
     }
 
-    /// How far beyond the faces images exist, in cells.
+    /// The maximum distance of images from the faces, in cells.
     #[must_use]
     pub fn reach(&self) -> i32 {
         self.reach
@@ -206,10 +207,10 @@ impl Periodic {
         }
     }
 
-    /// Returns the position of a particle between the faces. A position on the upper face moves to
-    /// the lower face. So does a position outside the box that equals a face after both are rounded
-    /// to f32. For any other finite position outside, `Err` names an axis along which it is
-    /// outside. Coordinates that are not finite are returned unchanged.
+    /// Returns the position of a particle between the faces. A coordinate on the upper face moves
+    /// to the lower face. A coordinate outside the box also moves to the lower face if it equals a
+    /// face after both are rounded to f32. If any other finite coordinate is outside the box, `Err`
+    /// names its axis. Coordinates that are not finite are returned unchanged.
     pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
         let [lo, hi] = self.faces.walls();
         let mut inside = world;
@@ -233,8 +234,9 @@ impl Periodic {
         let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
         let sides = sides(2)
             .flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
-        // A particle on a face moves to the lower face even if its coordinate is rounded, so along
-        // a periodic axis its bin may differ by one from the bin of its original position.
+        // `inside` moves a particle to the lower face if its rounded coordinate equals a face.
+        // Along a periodic axis, the particle's bin may therefore differ by one from the bin of its
+        // original position, shifted by whole periods.
         let aside = IVec3::from(period.map(|period| i32::from(period != 0)));
         let cells = self.cells().grown(self.reach + 1, self.reach + 1);
         let reached = CellBox {

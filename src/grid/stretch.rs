@@ -37,8 +37,8 @@ impl Stretch {
         if last < self.first || self.end <= first || cube.intersection(blocks).is_empty() {
             return false;
         }
-        // The cube overlaps both the box and the stretch. If either contains the whole cube, they
-        // share a block.
+        // The cube overlaps both the box and the stretch. If the box or the stretch contains the
+        // whole cube, the two share a block.
         if blocks.covers(&cube) || self.first <= first && last < self.end {
             return true;
         }
@@ -52,8 +52,8 @@ impl Stretch {
     }
 }
 
-/// The cells that affect a block's mesh, relative to the block's lowest corner, so they are the
-/// same for all blocks.
+/// The cells that affect a block's mesh, relative to the block's lowest corner. These relative
+/// cells are the same for all blocks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct DecidingCells(CellBox);
 
@@ -99,7 +99,8 @@ impl WantedBins {
     pub fn hold(&self, bin: IVec3) -> bool {
         let Stretch { first, end } = self.stretch;
         let blocks = self.sight.blocks_of(CellBox::cube(bin, 1));
-        // Keys increase along every axis, so the keys of a box lie between those of its corners.
+        // Keys increase along every axis, so the keys of all blocks in the box lie between the keys
+        // of its lowest and its highest block.
         let (least, most) = (MortonKey::of(blocks.lo), MortonKey::of(blocks.hi - 1));
         if most < first || end <= least {
             return false;

@@ -169,8 +169,8 @@ impl Sigma {
     }
 
     /// A standard deviation in cells, limited to the range from one cell to [`Self::MAX`]; one cell
-    /// for `None`. A width that follows from the spacing hides the particles' lattice, and the
-    /// lattice's offset from the grid, at every cell size.
+    /// for `None`. If `cells` is proportional to the spacing, the Gaussian smooths out the
+    /// particles' lattice, and the lattice's offset from the grid, at every cell size.
     #[must_use]
     pub fn at_least_a_cell(cells: Option<f64>) -> Self {
         Self(cells.unwrap_or(1.0).clamp(1.0, Self::MAX))

@@ -1,4 +1,5 @@
-//! Writes a folder of files that a list names. The folder gets its final name just before the list.
+//! Writes the folder of files that a list file names. The folder gets its final name just before
+//! the list does.
 //!
 //! Because of this order, a list never names missing files. Until the folder is renamed, it has a
 //! temporary name, which is derived from the name of the list's temporary file. If the work is
@@ -111,9 +112,10 @@ impl FolderInProgress {
     /// Renames the folder to its final name.
     ///
     /// If a folder with this name exists and `replaceable` is true, first removes the list at
-    /// `named`, which names the files in the existing folder, and then replaces that folder. Other
-    /// processes that write the same output wait for the lock of [`turn`]. Without file locks, they
-    /// do not wait, and the folder of the process that finishes last remains.
+    /// `named`, which names the files in the existing folder, and then replaces that folder. The
+    /// caller should hold the lock of [`turn`], so that other processes that write the same output
+    /// wait. On a file system without locks, these processes do not wait, and the folder of the
+    /// process that finishes last remains.
     ///
     /// # Errors
     /// [`io::ErrorKind::AlreadyExists`] if the file at `named` or the folder exists and

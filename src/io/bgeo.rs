@@ -77,7 +77,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let position = [0, 1, 2].map(|axis| position.component(axis));
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(points as usize), position, attributes);
-    // As an unsigned number, the index -1 is beyond all strings.
+    // Read as an unsigned number, the index -1 is beyond the last string, so its point gets the
+    // label's first text, which is empty.
     let labels = labels.into_iter().map(|(name, texts, within)| {
         let (label, places) = label(name, texts);
         (label, (column(Scalar::U32, within), places))
@@ -86,7 +87,7 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 }
 
 /// Returns the label with these texts, and maps their indices in the file to indices in the label.
-/// The first text of the label is empty, because it belongs to all points without a string.
+/// The first text of the label is empty, because points without a string get the first text.
 fn label(name: String, texts: Vec<String>) -> (Label, Vec<u32>) {
     let unique: BTreeSet<String> = texts.iter().cloned().chain([String::new()]).collect();
     let unique: Vec<String> = unique.into_iter().collect();
@@ -125,7 +126,8 @@ impl Definition {
                 for _ in 0..cursor.count("strings")? {
                     let length = cursor.u16("a string's length")?;
                     let text = cursor.take("a string", length.into())?;
-                    // One string more than a label can have shows that there are too many.
+                    // Keeps at most one string more than a label can have, which is enough to show
+                    // that there are too many.
                     if texts.len() <= MOST_TEXTS {
                         texts.push(String::from_utf8_lossy(text).into_owned());
                     }

@@ -85,8 +85,8 @@ pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
 
-/// Paths of the other pieces of a part, if `path` is the first piece. Stops at the first piece that
-/// does not exist.
+/// Paths of the other pieces of a part, up to the first piece that does not exist. Empty if `path`
+/// is not the first piece.
 pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     let first = PieceName::of(path).filter(|name| name.number == 0);
     first.map_or(Vec::new(), |name| {
@@ -142,8 +142,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let Case { pieces, spacing, time, .. } = piece.case;
     if pieces > 1 {
         let what = format!(
-            "is one of {pieces} pieces of a frame, which must be read together; give the path of \
-             the file"
+            "is one of {pieces} pieces of a frame, which must be read together; open the file by \
+             its path, so that the reader can find the other pieces"
         );
         return Err(ReadFault::Unsupported(what));
     }
@@ -176,7 +176,7 @@ impl Bi4Piece {
             (info, columns(array))
         });
         let attributes = attributes.collect();
-        let position = columns(&arrays[position]).try_into().expect("found with three");
+        let position = columns(&arrays[position]).try_into().expect("three components");
         ColumnStore::new(bytes, fluid.rows, position, attributes)
     }
 
@@ -213,7 +213,7 @@ impl Bi4Piece {
     }
 }
 
-/// The rows in which the arrays hold fluid particles. Indices in `rows` are relative to `first`.
+/// The rows of the arrays that contain fluid particles. Indices in `rows` are relative to `first`.
 struct FluidRows {
     first: usize,
     rows: ParticleRows,
@@ -263,7 +263,7 @@ fn number(bytes: &[u8], endian: Endian) -> u64 {
     }
 }
 
-/// Values from the file: particle counts, number of pieces, spacing and time.
+/// Values from the file: particle counts, number of pieces, piece number, spacing and time.
 #[derive(Default)]
 struct Case {
     /// Numbers of fixed, moving and floating particles: CaseNfixed, CaseNmoving and CaseNfloat.

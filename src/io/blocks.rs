@@ -1,5 +1,5 @@
-//! Joins the blocks of a frame, whose files a list of frames or of blocks names. Blocks that hold
-//! no particles are left out, and described for messages.
+//! Joins the blocks of a frame. A list of frames or a list of blocks names the files of the blocks.
+//! Blocks without particles are left out, and messages describe them.
 
 use std::path::Path;
 
@@ -21,7 +21,7 @@ const LINES: &str = "lines";
 /// A block that was opened.
 enum OpenedBlock {
     Particles(Box<ParticleFile>),
-    /// Particles that lack the attribute of a condition.
+    /// Particles without an attribute that a condition tests.
     Lacking {
         particles: usize,
         only_lines: bool,
@@ -57,7 +57,7 @@ impl OpenedBlock {
 ///
 /// Blocks without particles, such as meshes, are left out. Lines, such as wave gauges or the paths
 /// of particles, are left out if another block contains particles. If only some blocks have the
-/// attribute of a condition, no particle of the other blocks satisfies the condition.
+/// attribute that a condition tests, no particle of the other blocks satisfies the condition.
 ///
 /// # Errors
 /// The errors of [`open_joined`](super::input::open_joined), and [`ReadFault::Unsupported`] if no
@@ -82,8 +82,8 @@ pub(super) fn open_blocks(
         let file = match opened {
             Some(OpenedBlock::Particles(file)) => Some(*file),
             Some(OpenedBlock::Lacking { particles, error, .. }) => {
-                // Keep the error of the largest block, because the message lists the attributes of
-                // this block.
+                // The message lists the attributes of one block only, so keep the error of the
+                // block with the most particles.
                 if lacking.as_ref().is_none_or(|(most, _)| particles > *most) {
                     lacking = Some((particles, error));
                 }
@@ -156,8 +156,8 @@ fn has_points(file: &ParticleFile) -> bool {
     !file.particles.is_empty() || file.unselected > 0 || file.ghosts > 0
 }
 
-/// Describes a block that could not be opened because it holds no particles. Returns `error` if it
-/// has another cause.
+/// Describes a block that could not be opened because it holds no particles. Returns `error` if the
+/// block could not be opened for another reason.
 fn other_contents(path: &Path, error: ReadError) -> Result<String, ReadError> {
     match error.fault {
         ReadFault::Mesh { faces } if error.path == path => Ok(described_mesh(faces)),
@@ -198,7 +198,7 @@ impl FrameBlock {
     }
 }
 
-/// The error for a list none of whose blocks contains particles.
+/// The error for a list in which no block contains particles.
 fn no_particles(blocks: &[UnreadPart]) -> ReadFault {
     let shown: Vec<_> = blocks.iter().take(SHOWN).map(ToString::to_string).collect();
     let count = blocks.len();

@@ -1,6 +1,6 @@
-//! The bytes of an input file. Uncompressed files are read by position. Compressed files are
-//! unpacked into memory or a scratch file. Pipes, and files whose format must be read as a whole,
-//! are also copied into memory or a scratch file.
+//! The bytes of an input file. Byte ranges of an uncompressed file are read on demand. Compressed
+//! files are unpacked into memory or a scratch file. Pipes, and files whose format must be read as
+//! a whole, are copied into memory or a scratch file.
 
 use std::borrow::Cow;
 use std::fs::File;
@@ -36,7 +36,7 @@ const ALWAYS_UNPACKED: u64 = 64 << 20;
 /// The bytes of a file, read-only.
 #[derive(Debug)]
 pub enum Bytes {
-    /// Bytes in an uncompressed file, which is read by position and never mapped.
+    /// An uncompressed file. Its byte ranges are read on demand, and the file is never mapped.
     File(ReopenedFile),
     /// Bytes that were unpacked or read into memory or a scratch file.
     Kept(PrivateBytes),
@@ -53,7 +53,7 @@ pub enum PrivateBytes {
 
 impl Bytes {
     /// Reads all bytes of the file into memory or a scratch file. Other programs cannot change this
-    /// copy during decoding, which takes long.
+    /// copy while it is decoded, which can take long.
     ///
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read,
@@ -85,7 +85,8 @@ impl Bytes {
             file.check()?;
             return read.and_then(|()| copied.finish());
         };
-        // If the file ended early, another program has shortened it.
+        // If another program has shortened the file, `check` reports this change instead of the
+        // failed read.
         file.check()?;
         Ok(read?)
     }
@@ -112,8 +113,8 @@ impl PrivateBytes {
     /// I/O errors of the operating system.
     pub fn map(file: &File) -> io::Result<Self> {
         // SAFETY: the mapped memory is only read, never written. If another program shortens the
-        // file meanwhile, a signal can end the process. This holds for every program that reads by
-        // mapping.
+        // file meanwhile, a signal can end the process. The same is true of every program that maps
+        // files.
         unsafe { Mmap::map(file) }.map(|map| Self::Scratch(Arc::new(map)))
     }
 
@@ -221,8 +222,9 @@ impl<'a> Slice<'a> {
         if let Some(map) = self.map {
             let start = range.start.saturating_sub(FAULT_AROUND);
             let length = range.end - start;
-            // SAFETY: the map belongs to a file and is never written, so the system reads dropped
-            // pages again. If the system refuses, nothing changes.
+            // SAFETY: the map belongs to a file and is never written, so the system reads the
+            // dropped pages from the file again when they are accessed. If the call fails, the
+            // pages stay in memory.
             let _ = unsafe {
                 map.unchecked_advise_range(memmap2::UncheckedAdvice::DontNeed, start, length)
             };
@@ -249,7 +251,7 @@ impl Deref for Slice<'_> {
 /// Random access to bytes in memory or in a file.
 #[derive(Debug, Clone, Copy)]
 pub enum ByteView<'a> {
-    /// Bytes in a file that is read by position.
+    /// A file whose byte ranges are read on demand.
     File(&'a ReopenedFile),
     /// Bytes in memory or in a map.
     Kept(Slice<'a>),
@@ -281,10 +283,11 @@ impl<'a> ByteView<'a> {
     pub fn read(self, range: Range<usize>) -> Result<Cow<'a, [u8]>, ReadFault> {
         match self {
             Self::File(file) => {
-                assert!(range.end <= self.len(), "bytes to {} of {}", range.end, self.len());
+                assert!(range.end <= self.len(), "range to byte {} of {}", range.end, self.len());
                 let mut bytes = vec![0; range.len()];
                 if let Err(lost) = file.read_exact_at(range.start as u64, &mut bytes) {
-                    // If the file ended early, another program has shortened it.
+                    // If another program has shortened the file, `check` reports this change
+                    // instead of the failed read.
                     file.check()?;
                     return Err(lost.into());
                 }
@@ -297,8 +300,8 @@ impl<'a> ByteView<'a> {
     /// The bytes of a file that was read or unpacked as a whole, as text formats require.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] if the file is read by position instead. When such a file was opened,
-    /// its format did not require a whole copy, so the file has changed since.
+    /// [`ReadFault::Changed`] if the file was not read as a whole. When the file was opened, its
+    /// content did not require a whole copy, so the file has changed since then.
     pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
         match self {
             Self::File(_) => Err(ReadFault::Changed),
@@ -522,8 +525,9 @@ impl<'a> UnpackBuffer<'a> {
     }
 }
 
-/// Opens `path` for reading by position. A file that is compressed by gzip, xz or zstd, whatever
-/// its extension, is unpacked with the limits of [`for_a_look`](Unpacking::for_a_look).
+/// Opens `path`, so that byte ranges of the file can be read. A file that is compressed by gzip, xz
+/// or zstd, whatever its extension, is unpacked with the limits of
+/// [`for_a_look`](Unpacking::for_a_look).
 ///
 /// # Errors
 /// [`ReadFault::Io`] if the file cannot be opened or read, [`ReadFault::Empty`] for an empty file,
@@ -652,9 +656,9 @@ pub(super) fn unpacked_limit(packed: u64) -> u64 {
     packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
 }
 
-/// Unpacks a small file with a single gzip stream in one call, in half the time of a stream
-/// decoder. Returns `None` if the file is damaged, has several streams, or unpacks to too many
-/// bytes.
+/// Unpacks a small file with a single gzip stream in one call, which takes half the time of a
+/// stream decoder. Returns `None` if the file is damaged, has several streams, or unpacks to too
+/// many bytes.
 fn unpack_at_once(packed: &[u8], in_memory: u64) -> Option<Vec<u8>> {
     // A gzip stream ends with the length of its content.
     let trailer = packed.last_chunk::<4>()?;
@@ -698,8 +702,8 @@ fn unpack(
     })
 }
 
-/// Reads all bytes of `source`. After each step, calls `check` with the number of bytes so far.
-/// `check` may return an error.
+/// Reads all bytes of `source`. After each step, calls `check` with the number of bytes so far, and
+/// stops if `check` returns an error.
 fn collect(
     mut source: impl Read,
     unpacking: Unpacking,

@@ -40,7 +40,7 @@ impl CellCounts {
         }
     }
 
-    /// The sums of these counts and those of other cells.
+    /// The sums of these counts and the counts of `other`.
     pub fn plus(self, other: Self) -> Self {
         Self {
             faces: self.faces.saturating_add(other.faces),

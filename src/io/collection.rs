@@ -106,11 +106,11 @@ pub fn open_particles(
     Ok(ParticleFile { time: time.or(opened.time), ..opened })
 }
 
-/// Frame number `number` of `list`. Without a number, the list must have a single frame. Errors
-/// report `path`.
+/// Frame number `number` of `list`. Without a number, the list must have a single frame. An error
+/// about the number contains `path`.
 ///
 /// # Errors
-/// The errors of [`open_particles`], except for errors of the frame's own files.
+/// The errors of [`open_particles`] about the list and the number.
 pub fn frame_of(path: &Path, list: &Path, number: Option<u64>) -> Result<ListedFrame, ReadError> {
     let frames = listed(list)?;
     let count = frames.len();

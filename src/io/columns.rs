@@ -129,7 +129,7 @@ impl ParticleRows {
 }
 
 impl<B: Windows> ColumnStore<B> {
-    /// Combines columns with their bytes. Of several attributes with the same name, keeps the
+    /// Combines columns with their bytes. If several attributes have the same name, keeps only the
     /// first.
     ///
     /// # Panics
@@ -160,13 +160,13 @@ impl<B: Windows> ColumnStore<B> {
                 assert!(end <= bytes.count(), "a column ends at byte {end} of {}", bytes.count());
                 assert!(
                     column.stride >= column.scalar.size(),
-                    "a stride of {} bytes",
+                    "the stride is only {} bytes",
                     column.stride
                 );
             }
         }
         for (info, columns) in infos.iter().zip(&columns) {
-            assert_eq!(info.components, columns.len(), "one column a component");
+            assert_eq!(info.components, columns.len(), "one column per component");
         }
         let (labels, texts) = (Vec::new(), Vec::new());
         Self { bytes, rows, position, infos, columns, labels, texts }
@@ -176,8 +176,8 @@ impl<B: Windows> ColumnStore<B> {
     /// per column.
     fn read<T: NearestCast>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
-        // If the stride is shorter than a tuple, as it may be for a single row, whole tuples cannot
-        // be read.
+        // The stride of a single row may be shorter than a tuple. In this case, the components are
+        // read one by one.
         let neighbours =
             columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
         match columns {
@@ -224,7 +224,7 @@ impl<B: Windows> ColumnStore<B> {
         match &self.rows {
             ParticleRows::All(rows) => {
                 let end = particles.end;
-                assert!(end <= *rows, "particles {first} to {end} of {rows}");
+                assert!(end <= *rows, "range {first}..{end} of {rows} particles");
                 if count > 0 {
                     let start = column.offset + first * column.stride;
                     let end = start + (count - 1) * column.stride + size;
@@ -426,7 +426,7 @@ macro_rules! stored {
             $(fn $type(value: $type) -> Self;)*
         }
 
-        #[allow(clippy::cast_lossless)] // The same line serves i64, which `From` does not convert.
+        #[allow(clippy::cast_lossless)] // The macro also converts i64, which `From` cannot.
         impl NearestCast for f32 {
             $(fn $type(value: $type) -> Self { value as Self })*
         }

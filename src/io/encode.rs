@@ -66,11 +66,11 @@ fn in_batches<T: Send>(
     take_all(&mut ready[..made], take)
 }
 
-/// The values that `make` appended for a piece, and whether it succeeded.
+/// The values that `make` appended for a piece, and the result of this call of `make`.
 type Made<T> = (Vec<T>, io::Result<()>);
 
-/// Calls `make` on the thread pool for the first of `pieces`, one for each buffer, while
-/// `meanwhile` runs on this thread. Returns the number of pieces for which `make` was called.
+/// Calls `make` on the thread pool for the first pieces of `pieces`, at most one for each buffer,
+/// while `meanwhile` runs on this thread. Returns the number of pieces for which `make` was called.
 fn make_while<T: Send>(
     buffers: &mut [Made<T>],
     pieces: Range<usize>,

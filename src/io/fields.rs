@@ -82,8 +82,8 @@ impl Arrangement {
     /// The step numbers of the frames. Empty if there is a single frame, or if there are no
     /// particles.
     pub fn steps(&self) -> Vec<u64> {
-        // Ignores frames without particles: they take no bytes, so the file's size does not limit
-        // their number.
+        // Ignores frames without particles, because they take no bytes, and the file's size does
+        // not limit their number.
         let frames = self.frames.filter(|frames| *frames > 1 && self.rows > 0);
         (0..frames.unwrap_or(0)).collect()
     }
@@ -205,8 +205,8 @@ pub fn arrange(fields: &[NamedArray]) -> Result<Option<Arrangement>, ReadFault> 
     separate.transpose()
 }
 
-/// Whether a field is one of three arrays `x`, `y` and `z` of equal shape. Such an array is no
-/// vector: its axes may be frames and particles.
+/// Whether a field is one of three arrays `x`, `y` and `z` of equal shape. Such an array is not a
+/// vector, because its axes may be frames and particles.
 fn is_one_axis(fields: &[NamedArray], field: usize) -> bool {
     const AXES: [&str; 3] = ["x", "y", "z"];
     let NamedArray { name, shape } = &fields[field];
@@ -223,8 +223,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
     let mut candidates = NamedColumns::of(fields);
     for (number, NamedArray { shape, .. }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
-        // Arrays of shape (T, N) called x, y and z are not used as positions: their axes may be
-        // frames and particles, or the two axes of a grid.
+        // Arrays of shape (T, N) called x, y and z are not used as positions, because their axes
+        // may be frames and particles, or the two axes of a grid.
         let may_be = match axes {
             Axes::Particles => shape.len() <= 2,
             Axes::Components => true,
@@ -235,7 +235,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         }
     }
     let Some((position, _)) = candidates.position() else { return Ok(None) };
-    let extent = |field: usize| axes.extent(&fields[field].shape).expect("looked at above");
+    let extent = |field: usize| axes.extent(&fields[field].shape).expect("it was computed above");
     let ArrayExtent { frames, rows, .. } = extent(position.places[0].field);
     let is_of = |other: &ArrayExtent| other.rows == rows && other.frames == frames;
     if !position.places.iter().all(|place| is_of(&extent(place.field))) {
@@ -293,8 +293,8 @@ fn too_many(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
     (numbers > MOST_COMPONENTS).then_some(numbers)
 }
 
-/// The index of the only array of shape (N, 3), or else (3, N), or else (T, N, 3). Arrays whose
-/// names suggest other vectors, such as velocities, do not count.
+/// The index of the only array of shape (N, 3), or else (3, N), or else (T, N, 3). Ignores arrays
+/// whose names suggest other vectors, such as velocities.
 pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
     let is_other = |name: &str| {
         let name = name.to_ascii_lowercase();

@@ -2,8 +2,8 @@
 //!
 //! Programs that divide cells among pieces flag cells, not points. In a set of particles, each cell
 //! is a vertex that refers to one point. If all cells are vertices, a point is left out if it has
-//! at least one cell and all of its cells are flagged. If there are other cells, the flags of cells
-//! are ignored. The flags take one bit of memory per cell, and two bits per point.
+//! at least one cell and all of its cells are flagged. If there are cells of other types, all flags
+//! of cells are ignored. The flags take one bit of memory per cell, and two bits per point.
 
 use std::ops::Range;
 
@@ -97,8 +97,8 @@ pub(super) struct VertexPoints<'a> {
 }
 
 impl<'a> VertexPoints<'a> {
-    /// Starts without flagged points. The caller has checked that the file contains `points`
-    /// points.
+    /// Starts to collect the points of `vertices`. The caller has checked that the file contains
+    /// `points` points.
     pub fn new(vertices: &'a VertexCells, points: usize) -> Self {
         let [copies, own] = [0; 2].map(|_| Bits::new(points));
         Self { vertices, points, copies, own, count: 0, strayed: None }

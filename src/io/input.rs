@@ -42,7 +42,8 @@ impl InputFormat {
     pub const KNOWN: &'static str = KNOWN;
 }
 
-/// Opens a particle file with the reader for its extension, in upper or lower case.
+/// Opens a particle file with the reader for its extension. The case of the extension does not
+/// matter.
 ///
 /// A file compressed by gzip, xz or zstd can have its plain name, or the additional extension
 /// `.gz`, `.xz` or `.zst`.
@@ -357,8 +358,8 @@ mod tests {
     use super::*;
     use crate::io::compression::EXTENSIONS;
 
-    /// Extensions that, in a build without HDF5, have a reader only so that its error can give
-    /// advice.
+    /// Extensions whose reader, in a build without HDF5, only returns an error that says how to
+    /// build with HDF5.
     const ADVISED: [&str; 4] = ["h5", "h5md", "h5part", "hdf5"];
 
     #[test]
@@ -385,7 +386,7 @@ mod tests {
             }
             assert!(
                 known.contains(extension) || ADVISED.contains(extension),
-                "{extension} is read"
+                "{extension} has a reader, but messages do not list it"
             );
         }
         let read = read.into_iter().chain(EXTENSIONS).collect();

@@ -39,8 +39,8 @@ pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(),
 /// `None` for files that were not opened.
 ///
 /// Bytes and fractions from 0 to 1 can be joined. Floating-point numbers from 0 to 255 cannot be
-/// joined with fractions, nor colours with plain numbers. Wider integers from 0 to 255 count as
-/// bytes.
+/// joined with fractions, and colours cannot be joined with plain numbers. Wider integers from 0 to
+/// 255 count as bytes.
 ///
 /// # Errors
 /// [`ReadFault::ColourScale`] with the first file whose scale differs.

@@ -199,14 +199,14 @@ impl fmt::Display for UnreadPart {
             }
             Self::Times { column, count, first, last } => write!(
                 f,
-                "the division of the rows by the {count} times in column {column:?} (from {first} \
-                 to {last}), because all rows of a table form one frame; to select the rows of \
-                 one time, use the condition {column}={first}"
+                "the division into frames by the {count} times in column {column:?} (from {first} \
+                 to {last}), because meniscus reads all rows of a table as one frame; to select \
+                 the rows of one time, use the condition {column}={first}"
             ),
             Self::RepeatedStep => write!(
                 f,
-                "earlier frames with the same step, because the last frame with a step counts, \
-                 as after a restart"
+                "earlier frames with the same step number, because a restarted simulation repeats \
+                 steps, and only the last frame with this number counts"
             ),
             Self::WideArray { name, numbers } => write!(
                 f,

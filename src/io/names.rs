@@ -4,7 +4,7 @@
 use std::collections::{HashMap, HashSet};
 
 /// Names of a position in order of preference. The empty name stands for columns `x`, `y` and `z`.
-/// Names after it may also mean a momentum, a pressure or a rotation.
+/// Names after the empty name may also mean a momentum, a pressure or a rotation.
 const POSITION: [&str; 25] = [
     "points",
     "point",
@@ -91,7 +91,7 @@ const COLUMN_WORDS: [&str; 34] = [
 const AXIS_FIRST: [&str; 7] = ["coordinate", "coord", "position", "pos", "p", "m", "u"];
 
 /// Names of the field that contains the time of a file, in order of preference. VTK writes the
-/// first, and its older readers expect `TIME`. Simulations also use the others.
+/// first, and older readers of VTK expect `TIME`. Simulations also use the other names.
 pub const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
 
 /// Name of a colour whose components are separate columns.
@@ -165,7 +165,7 @@ pub fn unique_names<'a>(
 /// `1`, `2` after a separator, and each axis occurs once. Examples are `Pos.x [m]`, `"Points:0"`,
 /// `vel_x`, `vel[0]`, `Velocity [x]` and `vx`. Likewise, `red`, `green`, `blue` and optionally
 /// `alpha`, or `r`, `g`, `b` and `a`, form one colour, called `color`. Names such as `x-coordinate`
-/// are the position if there is no other. Returns `None` if there is no position.
+/// are the position if there is no other position. Returns `None` if there is no position.
 pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
     let names: Vec<&str> = names.iter().map(|name| without_unit(name)).collect();
     grouped(&names).or_else(|| grouped(&with_plain_axes(&names)?))
@@ -218,8 +218,8 @@ fn grouped(names: &[&str]) -> Option<(Quantity, Vec<Quantity>)> {
     Some((position, all))
 }
 
-/// The names, with `x`, `y` and `z` instead of names such as `x-coordinate`. `None` if there are no
-/// such names for all three axes.
+/// The names, with `x`, `y` and `z` instead of names such as `x-coordinate`. `None` if the names
+/// of the three axes are incomplete or ambiguous.
 fn with_plain_axes<'a>(names: &[&'a str]) -> Option<Vec<&'a str>> {
     let found: Vec<_> = names.iter().map(|name| axis_in_name(name)).collect();
     // If there is also `y1`, the names `x1`, `x2` and `x3` are the x coordinates of three points.
@@ -251,7 +251,7 @@ fn axis_in_name(name: &str) -> Option<(&'static str, usize)> {
     let axis = "xyz".find(name.chars().next()?)?;
     let end = name[1..].trim_start_matches(JOINTS);
     let kind = AXIS_FIRST.into_iter().find(|known| end == *known)?;
-    // `xm` may be a mean.
+    // `xm` may be a mean instead of a position.
     (kind != "m" || name.len() > 2).then_some((kind, axis))
 }
 
@@ -348,7 +348,7 @@ pub fn is_preferred_position(name: &str) -> bool {
     preferred.into_iter().any(|position| name.eq_ignore_ascii_case(position))
 }
 
-/// The names without units, even units that follow a name without a blank, as in `vx[m/s]` or
+/// The names without units. A unit may follow a name without a blank, as in `vx[m/s]` or
 /// `vx/(m/s)`. Names that would become equal keep their units.
 pub fn bare_names(names: &[String]) -> Vec<String> {
     let bare: Vec<&str> = names.iter().map(|name| bare_name(name)).collect();
@@ -393,8 +393,9 @@ fn inside(text: &str) -> &str {
 }
 
 /// Splits the name of a vector's component, such as `vel.x`, into its stem `vel.`, its notation and
-/// its axis (here 0). The notation is identified by its name for the first axis, such as `x`, `X`
-/// or `0`. Fluent writes `x-velocity`, CFX `Velocity u`, and STAR-CCM+ `Velocity[i]`.
+/// its axis (here 0). A character identifies the notation: `f` for names such as `x-velocity`,
+/// which Fluent writes, and otherwise the name of the first axis in this notation, such as `x`, `X`
+/// or `0`. CFX writes `Velocity u`, and STAR-CCM+ writes `Velocity[i]`.
 fn component(name: &str) -> Option<((&str, char), usize)> {
     if let Some((axis, velocity)) = name.split_once(['-', '_', ' '])
         && velocity.eq_ignore_ascii_case("velocity")

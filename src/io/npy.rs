@@ -50,7 +50,7 @@ pub fn read_particles(bytes: Bytes, step: Option<u64>) -> Result<ParticleFile, R
         (info, columns(found))
     });
     let attributes = attributes.collect();
-    let position = columns(&position).try_into().expect("found with three");
+    let position = columns(&position).try_into().expect("three components");
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(rows as usize), position, attributes);
     Ok(ParticleFile { left_out, ..ParticleFile::new(particles, "NumPy .npy") })

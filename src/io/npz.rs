@@ -69,7 +69,7 @@ pub fn read_particles(
         header.column(at, member, axes[place.field], frame, place.component)
     };
     let columns = |found: &LocatedQuantity| found.places.iter().map(column).collect::<Vec<_>>();
-    let position: [Column; 3] = columns(&position).try_into().expect("found with three");
+    let position: [Column; 3] = columns(&position).try_into().expect("three components");
     let attributes = attributes.iter().map(|found| {
         let columns = columns(found);
         (AttributeInfo::new(&found.name, columns.len()), columns)
@@ -165,8 +165,8 @@ fn no_position(arrays: &[NpzArray], contents: &Contents) -> ReadFault {
         let is_pysph = ["particles", "solver_data"].iter().all(|n| pickled.iter().any(|p| p == n));
         what += &format!(". Pickled Python objects, which are not supported: {}", list(pickled));
         if is_pysph {
-            what += ". This is a PySPH file. PySPH writes HDF5 if h5py is installed; \
-                     pysph.solver.output.dump with a name that ends in .hdf5 converts it";
+            what += ". This is a PySPH file. PySPH writes HDF5 if h5py is installed; to convert \
+                     this file, call pysph.solver.output.dump with a name that ends in .hdf5";
         }
     }
     ReadFault::Unsupported(what)
@@ -270,7 +270,7 @@ fn unpack(
             }
         }
         if read != array.bytes {
-            return Err(damaged(format!("not of {} bytes", array.bytes)));
+            return Err(damaged(format!("its unpacked size is not {} bytes", array.bytes)));
         }
     }
     Ok((if in_place { None } else { Some(unpacked.finish()?) }, starts))

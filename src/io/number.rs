@@ -110,8 +110,8 @@ pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
         return f64::of(word);
     }
     if !word.contains(&b',') {
-        // If commas are decimal separators, a point separates thousands, and such a number is not
-        // read.
+        // If commas are decimal separators, a point separates thousands. Numbers with thousands
+        // separators are not supported.
         return f64::of(word).filter(|number| !number.is_finite() || !word.contains(&b'.'));
     }
     if word.contains(&b'.') {
@@ -160,7 +160,7 @@ fn not_finite(word: &[u8]) -> Option<f64> {
     match &name[..end] {
         b"#INF" => Some(infinity),
         b"#QNAN" | b"#SNAN" | b"#IND" | b"#NAN" => Some(f64::NAN),
-        // Rounded names that NaN and infinity may share are read as NaN.
+        // Some rounded names may stand for NaN or infinity. They are read as NaN.
         b"#QNB" | b"#SNB" | b"#QO" | b"#SO" | b"#IO" | b"#R" | b"#T" | b"#J" | b"$" => {
             Some(f64::NAN)
         }

@@ -3,8 +3,8 @@
 //!
 //! Many programs write and read a colour from 0 to 1 after a vertex's position. The format has no
 //! other attributes. A normal belongs to a corner of a face, not to a vertex. [`write_mesh`] gives
-//! each normal the number of its vertex, and [`read_mesh`] keeps normals only if each has the
-//! number of its vertex.
+//! each normal the same number as its vertex, and [`read_mesh`] keeps normals only if each has the
+//! same number as its vertex.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -79,13 +79,13 @@ pub fn write_mesh(
 }
 
 fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
-    out.write_fmt(line).expect("memory takes whatever is written to it");
+    out.write_fmt(line).expect("writing to a `Vec` does not fail");
 }
 
 /// Reads vertices, normals and faces. Each polygon becomes a fan of triangles around its first
 /// corner.
 ///
-/// Normals are kept only if each has the number of its vertex.
+/// Normals are kept only if each has the same number as its vertex.
 ///
 /// Texture coordinates, groups, materials, points and lines are ignored.
 ///
@@ -128,7 +128,7 @@ struct ObjMesh {
     positions: Vec<[f64; 3]>,
     normals: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
-    /// Whether the normal of every corner so far has the number of the corner's vertex.
+    /// Whether the normal of every corner so far has the same number as the corner's vertex.
     numbered_alike: bool,
     corners: Vec<u32>,
 }

@@ -155,7 +155,7 @@ impl MeshFormat {
 
     /// For each attribute that the file stores under a different name, the attribute's name and the
     /// name in the file. A name changes if the format cannot store it or already uses it.
-    /// Conventional names do not count, such as the capitals of .glb, or Houdini's names for
+    /// Conventional changes are left out, such as the capitals of .glb, or Houdini's names for
     /// velocity and colour.
     #[must_use]
     pub fn renamed(self, attributes: &[AttributeInfo], has_normals: bool) -> Vec<[String; 2]> {
@@ -382,8 +382,8 @@ impl OpenedMesh {
     }
 }
 
-/// Memory, in bytes, that the contents of a binary mesh file and the resulting mesh need, per byte
-/// of the file.
+/// Memory, in bytes per byte of a binary mesh file, that the contents of the file and the resulting
+/// mesh need together.
 const BYTES_A_BYTE: u64 = 3;
 
 /// Opens the mesh at `path`. A .ply file that this library wrote is streamed if the whole mesh
@@ -555,10 +555,10 @@ mod tests {
         }
 
         fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
-            panic!("vertices are asked for")
+            panic!("vertices were requested")
         }
         fn triangles(&self, _: usize) -> io::Result<Vec<[u64; 3]>> {
-            panic!("triangles are asked for")
+            panic!("triangles were requested")
         }
     }
 

@@ -1,4 +1,4 @@
-//! The particles of an input in one or several pieces: concatenated, without ghosts.
+//! Concatenates the particles of an input that consists of one or several pieces, without ghosts.
 //!
 //! A simulation on many nodes writes one piece per node. A piece may contain flagged copies of
 //! particles of other nodes, called ghosts. A span is a range of consecutive rows without ghosts.
@@ -257,7 +257,7 @@ impl Pieces {
     /// Calls `take` for each span within `range`, clipped to `range`. Passes the span, its number
     /// of particles, and the offset of its first particle from the start of `range`.
     fn each_span(&self, range: Range<usize>, mut take: impl FnMut(Span, usize, usize)) {
-        assert!(range.end <= self.len, "particles {range:?} of {}", self.len);
+        assert!(range.end <= self.len, "range {range:?} of {} particles", self.len);
         let mut first = range.start;
         let mut index = self.spans.partition_point(|span| span.first <= first).saturating_sub(1);
         while first < range.end {

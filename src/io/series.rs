@@ -168,7 +168,8 @@ impl Series {
         self.simulation.with_extension("usda")
     }
 
-    /// A message that says why programs could not play lists at this path. `None` if they could.
+    /// A message that says why other programs could not play the lists if these were written to
+    /// this path. `None` if programs could play the lists.
     #[must_use]
     pub fn path_fault(&self) -> Option<String> {
         let MeshFormat::Usdc(_) = self.format else { return None };

@@ -2,8 +2,9 @@
 //! binary and text files are read.
 //!
 //! The format has no shared vertices, so the reader merges corners with exactly equal coordinates.
-//! No other part of the library identifies vertices by position. If a mesh touches itself, the
-//! reader joins it there. Binary coordinates are f32, and there are no attributes.
+//! No other part of the library identifies vertices by position. If a mesh touches itself at a
+//! vertex, the reader joins the mesh there. Binary coordinates are f32, and there are no
+//! attributes.
 //!
 //! The writer keeps the positions of all vertices in memory, 24 bytes each, unless the mesh itself
 //! already has them in memory.
@@ -107,9 +108,9 @@ fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
 /// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file whose length does not fit
 /// its number of triangles, and [`ReadFault::Line`] for invalid text.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    // Tries binary first, because some binary files also start with "solid". A text file does not
-    // pass for binary, because its bytes 80 to 83 are not a number of triangles that fits its
-    // length.
+    // Tries binary first, because some binary files also start with "solid". A text file is not
+    // mistaken for a binary file, because its bytes 80 to 83 are not a number of triangles that
+    // fits its length.
     match records(bytes) {
         Ok(records) => joined(records.flat_map(corners)),
         Err(_) if bytes.starts_with(b"solid") => joined(text(bytes)?.into_iter()),

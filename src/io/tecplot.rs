@@ -139,8 +139,8 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
             let shown: Vec<_> = zones.iter().take(ZONES_SHOWN).map(|zone| zone.as_str()).collect();
             let more = if zones.len() > ZONES_SHOWN { " and more" } else { "" };
             let what = format!(
-                "another zone begins here; the file has {}: {}{more}. Write each zone of particles \
-                 to its own file",
+                "another zone begins here; the file has {} zones: {}{more}. Write each zone of \
+                 particles to its own file",
                 zones.len(),
                 shown.join(", ")
             );
@@ -171,7 +171,8 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
             }
         }
     };
-    // If the header gives no number of points, the values must be ordered point by point.
+    // If the header gives neither the order of the values nor the number of points along I, the
+    // reader assumes that the values are ordered point by point.
     let packing = match (zone.packing, zone.points[0]) {
         (Some(packing), _) => packing,
         (None, None) => ZonePacking::Point,

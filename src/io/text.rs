@@ -32,8 +32,8 @@ const PIECES: usize = 4;
 /// Divides a `range` of `source` into pieces, decodes the pieces on all threads, and passes the
 /// results to `take` in order.
 ///
-/// Each piece ends after a byte for which `is_end` returns true. Decoding stops when `take` breaks.
-/// The memory of decoded text is released.
+/// Each piece ends after a byte for which `is_end` returns true. Decoding stops when `take` returns
+/// `Break`. The memory of decoded text is released.
 pub(super) fn decode_pieces<T: Send>(
     source: Slice,
     range: Range<usize>,

@@ -34,7 +34,7 @@ enum TextFormat {
     Table,
 }
 
-/// The caller's knowledge of the format before the content is read.
+/// The expected format of a text file, before its content is read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextHint {
     /// The format that the file's extension implies. The content may turn out to be in another
@@ -152,8 +152,8 @@ impl Frames {
     /// The place of frame number `step`. Without `step`, the text must have a single frame. If the
     /// text has an invalid line, only frames above this line are found, and only by their numbers.
     ///
-    /// Of several frames with this number, the last is found. A simulator that restarts from an
-    /// earlier step appends the steps that it repeats.
+    /// If several frames have this number, finds the last one, because a simulator that restarts
+    /// from an earlier step appends the repeated steps to the file.
     fn find(&self, view: ByteView, step: Option<u64>) -> Result<LinePlace, ReadFault> {
         let found = match step {
             Some(step) => self.all.iter().rfind(|(number, _)| *number == step),

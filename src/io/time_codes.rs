@@ -3,7 +3,7 @@
 //! A time code is a time in units of one frame of the scene that plays the meshes. Programs show
 //! only whole time codes, and show each mesh from its own time code on. If the time code of a mesh
 //! is 4.00001 instead of 4, for example because its time was printed with six digits, programs show
-//! the mesh only at 5. So time codes that are close to a whole number are rounded.
+//! the mesh only at 5. Therefore, time codes that are close to a whole number are rounded.
 
 use std::fmt;
 use std::ops::RangeInclusive;
@@ -25,21 +25,21 @@ const TOLERANCE: f64 = 0.05;
 /// Largest difference between a time code and a whole number, if all frames of a simulation are
 /// this close to different whole numbers.
 ///
-/// Then the simulation has at most one frame per time code, and its times are inaccurate. The
-/// difference covers times that are printed with two decimals, up to 40 frames per second, and
-/// simulators that make at least 5 steps per frame.
+/// In this case, the simulation has at most one frame per time code, and its times are presumably
+/// inaccurate. The difference covers times that are printed with two decimals, up to 40 frames per
+/// second, and simulators that make at least 5 steps per frame.
 const TOLERANCE_OF_ALL: f64 = 0.2;
 
 /// Frame rates that times can imply, in frames per second.
 const IMPLIED: RangeInclusive<f64> = 1.0..=1000.0;
 
-/// Whole frame rates that film and television divide by 1.001: 23.976 and 29.97 frames per second,
-/// for example.
+/// Whole frame rates that film and television divide by 1.001, which gives 23.976 or 29.97 frames
+/// per second, for example.
 const DIVIDED: [f64; 5] = [24.0, 30.0, 48.0, 60.0, 120.0];
 
-/// Minimum number of frames that must follow the step of a simulation before its last frame may be
-/// off this step. Many programs also write the state at the end of the simulation, whatever its
-/// time.
+/// If at least this many frames precede the last frame of a simulation, the last frame need not be
+/// a whole number of steps after them. Many programs also write the state at the end of the
+/// simulation, even if its time is not a multiple of the step.
 pub(crate) const REGULAR: usize = 4;
 
 /// The time of a frame in the lists and archives of a simulation.
@@ -49,8 +49,8 @@ pub(super) struct FrameTime {
     pub time: f64,
     /// Time code of the frame.
     pub code: f64,
-    /// Time in seconds in an archive. If the frame rate is known, this is the time of the time
-    /// code.
+    /// Time in seconds in an archive. If the frame rate is known, this is the time code divided by
+    /// the frame rate.
     pub seconds: f64,
 }
 
@@ -119,14 +119,15 @@ impl Timeline {
     /// Creates the timeline of frames that are sorted by number. `fps` is the frame rate in frames
     /// per second, if it is given.
     ///
-    /// The times are those of the frames, if these are strictly increasing, and otherwise the frame
-    /// numbers. Time codes are also strictly increasing.
+    /// If the times of the frames and their time codes are strictly increasing, the timeline uses
+    /// them. Otherwise, it uses the frame numbers. The time codes are strictly increasing in both
+    /// cases.
     pub fn of(frames: &[SeriesFrame], fps: Option<f64>) -> Self {
         Self::of_times(frames, fps).unwrap_or_else(|| Self::of_numbers(frames, fps))
     }
 
-    /// The reason why the timeline of frames with times does not use these times. `None` if the
-    /// timeline uses them, or if the frames have fewer than two different times.
+    /// The reason why the timeline of `frames` does not use their times. `None` if the timeline
+    /// uses the times, or if the frames have fewer than two different times.
     pub fn unused_times(frames: &[SeriesFrame], fps: Option<f64>) -> Option<UnusedTimes> {
         let mut times =
             frames.iter().filter_map(|frame| frame.time).filter(|time| time.is_finite());
@@ -188,8 +189,8 @@ fn is_increasing(values: &[f64]) -> bool {
 ///
 /// All time codes are rounded, if all are within [`TOLERANCE_OF_ALL`] of different whole numbers.
 /// Otherwise, a time code is rounded if its distance to a whole number is at most [`TOLERANCE`]
-/// times the smallest of 1 and its distances to the time codes before and after it. So rounding
-/// never makes two time codes equal.
+/// times the smallest of 1 and its distances to the time codes before and after it. Therefore,
+/// rounding never makes two time codes equal.
 fn time_codes(times: &[f64], codes_per_second: f64) -> Vec<f64> {
     let exact: Vec<f64> = times.iter().map(|time| time * codes_per_second).collect();
     // Adding 0 turns -0 into 0.
@@ -207,12 +208,12 @@ fn time_codes(times: &[f64], codes_per_second: f64) -> Vec<f64> {
     exact.iter().enumerate().map(rounded).collect()
 }
 
-/// Returns the frame rate, in frames per second, that evenly spaced times imply. It is a whole
-/// number, or one that is divided by 1.001.
+/// Returns the frame rate, in frames per second, that evenly spaced times imply. The rate is a
+/// whole number, or a whole number divided by 1.001.
 ///
 /// Times are evenly spaced if they are proportional to the frame numbers, or if their differences
-/// are multiples of the smallest difference. So frames may be missing. The last frame may be off
-/// the step.
+/// are multiples of the smallest difference. Therefore, frames may be missing. If at least
+/// [`REGULAR`] frames precede the last frame, its time may be irregular.
 fn implied_rate(times: &[f64], numbers: &[i64]) -> Option<f64> {
     let before_last = Some(times.len().saturating_sub(1)).filter(|&frames| frames >= REGULAR);
     [times.len()].into_iter().chain(before_last).find_map(|end| {
@@ -254,8 +255,8 @@ fn rate_of(times: &[f64], steps: &[f64]) -> Option<f64> {
             times.iter().zip(steps).map(|(time, step)| ((time - first) * rate - step).abs());
         deviations.fold(0.0, f64::max)
     };
-    // In a short sequence, both rates are within the tolerance. The whole rate is the usual one, so
-    // the other must be clearly better.
+    // In a short sequence, the whole rate and the divided rate are both within the tolerance. Whole
+    // rates are more usual, so the deviation of the divided rate must be ten times smaller.
     let divided = DIVIDED.contains(&whole).then_some(whole * 1000.0 / 1001.0);
     let divided = divided.filter(|&divided| 10.0 * deviation(divided) < deviation(whole));
     let rate = divided.unwrap_or(whole);

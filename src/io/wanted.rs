@@ -67,7 +67,8 @@ pub enum WantedAttributes<'a> {
     /// All attributes.
     #[default]
     All,
-    /// The named attributes, the attributes that conditions test, and those that give sizes.
+    /// The named attributes, the attributes that conditions test, and the attributes that give
+    /// sizes.
     Only {
         /// Names of attributes, which [`attribute_called`] finds. `None` requests the velocity.
         names: Option<&'a [String]>,

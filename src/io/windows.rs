@@ -1,9 +1,10 @@
 //! Reads the bytes of columns piece by piece; a piece is called a window. The bytes are in memory,
 //! in a mapped scratch file, or in the input file.
 //!
-//! An input file is read by position into buffers, a few per thread, and never mapped. If another
-//! program shortened a mapped file, a signal would end the process. A read by position instead
-//! returns an error for one frame. All files of an input share their buffers.
+//! An input file is never mapped, because a signal would end the process if another program
+//! shortened the mapped file. Instead, byte ranges of the file are read into buffers, a few per
+//! thread. If the file was shortened, the read fails, and only this frame has an error. All files
+//! of an input share their buffers.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -149,7 +150,7 @@ impl Windows for InputBytes {
     }
 }
 
-/// An input file that is read by position, in windows.
+/// An input file that is read in windows.
 #[derive(Debug)]
 pub struct FileWindows {
     file: ReopenedFile,
@@ -260,7 +261,7 @@ impl Windows for FileWindows {
     }
 
     fn with<R>(&self, range: Range<usize>, read: impl FnOnce(&[u8]) -> R) -> R {
-        assert!(range.end <= self.count(), "bytes to {} of {}", range.end, self.count());
+        assert!(range.end <= self.count(), "range to byte {} of {}", range.end, self.count());
         let mut window = self.shelf.take(self.file.number(), range.start);
         if range.start < window.at || window.end() < range.end {
             self.fill(&mut window, &range);

@@ -2,8 +2,9 @@
 //!
 //! A frame in text consists of the number of particles, a comment, and a row per particle. The
 //! comment may name the columns, either as in extended XYZ (`Properties=species:S:1:pos:R:3`) or in
-//! a list of names. Otherwise, the position is the first three numbers after the name or atomic
-//! number of an element, if there is one. `sim.xyz#3` is the fourth frame.
+//! a list of names. Otherwise, the position is the first three numbers of a row. If the row begins
+//! with the name or atomic number of an element, the position follows it. `sim.xyz#3` is the fourth
+//! frame.
 
 use super::bytes::{ByteView, Bytes, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
@@ -50,8 +51,9 @@ pub(super) fn read_raw(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     Ok(ParticleFile::new(particles, "raw f32 .xyz"))
 }
 
-/// Whether raw numbers are f64: all are plausible lengths as f64, but many are not as f32. The
-/// lower half of an f64, read as an f32, has an arbitrary magnitude.
+/// Whether raw numbers are probably f64. All of them must be plausible lengths if they are read as
+/// f64, and many must be implausible if they are read as f32. The lower half of an f64, read as an
+/// f32, has an arbitrary magnitude.
 fn are_f64(raw: &[u8]) -> bool {
     let wide = raw.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes));
     let narrow = raw.as_chunks().0.iter().map(|&bytes| f64::from(f32::from_le_bytes(bytes)));

@@ -38,7 +38,8 @@ pub enum Comparison {
     GreaterOrEqual,
 }
 
-/// The operators and their text, longer ones first.
+/// The operators and their texts. Operators of two characters come first, so that `<=` is not read
+/// as `<`.
 const WRITTEN: [(&str, Comparison); 7] = [
     ("!=", Comparison::NotEqual),
     ("<=", Comparison::LessOrEqual),
@@ -64,7 +65,7 @@ impl Comparison {
     }
 
     /// Whether a stored integer satisfies the comparison with integers, like
-    /// [`holds`](Self::holds). Exact for integers that f64 cannot represent.
+    /// [`holds`](Self::holds). The result is exact even for integers that f64 cannot represent.
     pub(crate) fn holds_whole(self, stored: i64, values: &[i64]) -> bool {
         match (self, values) {
             (Self::Equal, _) => values.contains(&stored),

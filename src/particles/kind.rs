@@ -339,7 +339,7 @@ pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<Sett
         let kind = of_values(particles, index, stored.clone(), &[]).ok()?.kind;
         let is_evident = match stored.kind {
             kind if kind.has_open_scale() => evident_scale(particles, index).is_some(),
-            // If all integers are equal, they may be numbers that happen to be whole so far.
+            // If all integers are equal, the attribute may have fractions in other frames.
             kind if kind.is_whole() => !is_constant(particles, index),
             _ => true,
         };
@@ -348,7 +348,7 @@ pub fn settled_for_all(particles: &dyn Particles, carried: &[usize]) -> Vec<Sett
     settled.collect()
 }
 
-/// The vertex attributes; those that `known` contains have their known kinds. A frame without
+/// The vertex attributes. Attributes that `known` contains have their known kinds. A frame without
 /// particles also gets the other attributes in `known`, so that all frames have the same
 /// attributes.
 #[must_use]

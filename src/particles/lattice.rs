@@ -7,7 +7,7 @@
 //! is disordered. Its mean theta, over all offsets u from the centre of a cell of edge 1, is 1 - 2
 //! E|u| / sqrt 3 = 0.445. If the origin gives the lattice exactly this theta, measurements on the
 //! first frame hold for all frames. With this origin, the lattice is also far from cell faces,
-//! where rounding would scramble the counts.
+//! where rounding errors would move particles to neighbouring cells.
 
 use std::f64::consts::TAU;
 
@@ -68,8 +68,8 @@ fn places(particles: &dyn Particles, origin: DVec3, step: f64) -> [Option<f64>; 
                 continue;
             }
             for (sum, x) in sums.iter_mut().zip(steps.to_array()) {
-                // Rounded to nearest, not down: due to rounding errors, particles on a cell face
-                // may lie on either side of it.
+                // Rounding errors can move a particle on a cell face to either side of the face.
+                // Rounding to the nearest place puts it at place 0 in both cases.
                 let place = ((x - x.floor()) * PLACES as f64).round() as usize % PLACES;
                 let [cos, sin] = circle[place];
                 sum[0] += cos;

@@ -68,11 +68,13 @@ const WITHIN: f64 = 0.02;
 /// If at least this fraction of a bounding box's inner cells is inside the fluid, the fluid fills
 /// the box.
 const FILLED: f64 = 0.5;
-/// Minimum number of cells along each axis for which cells can be inside the fluid.
+/// Minimum number of cells along each axis of a grid in which a cell can have neighbours on all
+/// sides, and thus be inside the fluid.
 const LEAST_CELLS: i32 = 3;
 /// Maximum number of boundary particles in the bounding box of a fluid that has fewer than
-/// [`LEAST_CELLS`] cells along each axis, as a multiple of the number of fluid particles. The
-/// bounding box of a few tracers contains many more particles.
+/// [`LEAST_CELLS`] cells along each axis, as a multiple of the number of fluid particles. If the
+/// particles taken for the fluid are a few tracers, their bounding box contains many more
+/// particles.
 const AMONG: f64 = 0.5;
 
 /// Whether the name of an attribute suggests materials.
@@ -114,7 +116,7 @@ impl BoundingBox {
 
     /// Whether this box of `count` particles extends beyond `inner` on all sides, or on all but
     /// one, because a tank may be open. Along an axis on which the boxes hardly overlap, this box
-    /// must be as thin as a floor: water below spray is deeper.
+    /// must be as thin as a floor, so that deep water below spray is not taken for a floor.
     fn is_around(self, inner: Self, count: usize) -> bool {
         let (Self([lo, hi]), Self([inner_lo, inner_hi])) = (self, inner);
         let beyond =
@@ -218,7 +220,8 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
         is_apart && is_around
     };
     let around = pairs.filter(around).filter(|pair| !fills[pair.0]).filter(is_boundary);
-    // A tank can also contain solid bodies, which mostly have fewer particles than the fluid.
+    // A tank can also contain solid bodies. They mostly have fewer particles than the fluid, so the
+    // inner value with the most particles is taken for the fluid.
     let (outer, inner) = around.min_by_key(|&(_, inner)| Reverse(values[inner].2))?;
     let ((_, boundary, of_boundary), (_, fluid, of_fluid)) = (&values[outer], &values[inner]);
     Some(Mixture {

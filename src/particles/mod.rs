@@ -314,9 +314,9 @@ pub struct StridedPositions<'a, T> {
 }
 
 impl<'a, T: Copy + Into<f64>> StridedPositions<'a, T> {
-    /// Reads x, y and z of the first particle from index `first`, and those of each next particle
-    /// `stride` numbers later. Both arguments count numbers, not bytes. Returns `None` if `stride`
-    /// is less than 3.
+    /// Reads x, y and z of the first particle from index `first` of `numbers`. Each further
+    /// particle begins `stride` numbers after the previous one. `first` and `stride` count numbers,
+    /// not bytes. Returns `None` if `stride` is less than 3.
     ///
     /// ```
     /// use meniscus::{Particles, StridedPositions};
@@ -403,8 +403,9 @@ pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usiz
     named.or_else(velocity).or_else(alike).or_else(colour)
 }
 
-/// The attributes of the mesh: the ones whose indices are in `carried`. The velocity is renamed to
-/// `velocity` if no attribute has this name yet; other attributes keep their names.
+/// The attributes of the mesh: the particles' attributes with the indices in `carried`. The
+/// velocity is renamed to `velocity` if no attribute has this name yet; other attributes keep their
+/// names.
 pub fn carried_infos(attributes: &[AttributeInfo], carried: &[usize]) -> Vec<AttributeInfo> {
     let taken = attributes.iter().any(|info| info.name == "velocity");
     let velocity = velocity_attribute(attributes).filter(|_| !taken);

@@ -122,7 +122,7 @@ fn with_components(attribute: &str, components: usize) -> String {
     )
 }
 
-/// Says which number of each particle a condition tests.
+/// The value of each particle that a condition tests.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ConditionOperand {
     /// A component of an attribute.

@@ -50,8 +50,8 @@ const CELL: f64 = 4.0;
 /// Minimum number of cells from which a density is measured. Only cells whose 26 neighbours all
 /// contain particles count.
 const ENOUGH: usize = 8;
-/// Range of plausible densities. A density is the volume of the particles per unit volume; one
-/// outside this range shows that the program defines radii differently.
+/// Range of plausible densities. A density is the volume of the particles per unit volume. A
+/// density outside this range shows that the program defines radii differently.
 const FLUID: [f64; 2] = [0.7, 1.4];
 
 /// Meaning of an attribute's values.

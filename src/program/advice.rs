@@ -301,7 +301,8 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
             format!("{warning}{measured}{}", on_shortfall(options, *clouds))
         }
         Warning::Empty { why: EmptyReason::Field, clouds, calibration_frame } => {
-            // The warning ends with the isovalue.
+            // The text of the warning ends with the isovalue, so the relative clause refers to the
+            // isovalue.
             let measured = calibration_frame
                 .map_or(String::new(), |frame| format!(", which was measured on frame {frame}"));
             format!("{warning}{measured}{}", on_shortfall(options, *clouds))

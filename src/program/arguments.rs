@@ -50,8 +50,8 @@ impl Arguments {
     }
 
     /// Returns the commands and options, as clap needs them for help, completions and man pages.
-    /// `pack` accepts the options that apply only to surfaces, but hides them: it can then reject
-    /// them with a reason.
+    /// `pack` hides the options that apply only to surfaces, but still accepts them, so that it can
+    /// reject them with a message that gives the reason.
     pub fn as_command() -> clap::Command {
         let is_of_surface = |id: &str| {
             Settings::ALL.iter().any(|setting| setting.name() == id && !setting.is_of_samples())

@@ -51,12 +51,12 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
         "takes both corners: X0,Y0,Z0,X1,Y1,Z1",
     ),
     (&["--output-file", "--output-dir", "--out"], "output", "names a mesh, or a folder of meshes"),
-    (&["-s", "--start-index", "--start-frame"], "start", "is the first frame"),
-    (&["-e", "--end-index", "--end-frame"], "end", "is the last frame"),
+    (&["-s", "--start-index", "--start-frame"], "start", "sets the first frame"),
+    (&["-e", "--end-index", "--end-frame"], "end", "sets the last frame"),
     (&["-n", "-j", "--num-threads", "--jobs"], "threads", "sets the number of threads"),
 ];
 
-/// Options that name the input in other programs; here, inputs need no option.
+/// Options that name the input in other programs. In meniscus, inputs need no option.
 const INPUT: &[&str] = &["-i", "--input", "--input-file", "--input-dir"];
 
 /// Adds a tip to an error about an option of another program.

@@ -42,8 +42,9 @@ struct MeshCheck {
     measures: Measures,
 }
 
-/// Checks every mesh that can be read, and then fails if some could not. The verdict is good only
-/// if all meshes are closed, oriented 2-manifolds and every component encloses a volume.
+/// Checks every mesh that can be read. If any mesh could not be read, returns an error at the end.
+/// The verdict is good only if all meshes are closed, oriented 2-manifolds and every component
+/// encloses a volume.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let (mut all, mut errors) = (Vec::new(), Vec::new());
     for path in

@@ -38,7 +38,8 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
 fn ignored_signals() -> impl Iterator<Item = libc::c_int> {
     let signals = [libc::SIGHUP, libc::SIGINT, libc::SIGTERM];
     let ignored = signals.map(|signal| {
-        // SAFETY: without a new action, this only reads the current one.
+        // SAFETY: the pointer to the new action is null, so `sigaction` only reads the current
+        // action.
         let action = unsafe {
             let mut action: libc::sigaction = std::mem::zeroed();
             libc::sigaction(signal, std::ptr::null(), &mut action);
@@ -51,7 +52,7 @@ fn ignored_signals() -> impl Iterator<Item = libc::c_int> {
 
 #[cfg(unix)]
 fn ignore(signal: libc::c_int) {
-    // SAFETY: replaces a handler that no other thread changes.
+    // SAFETY: no other thread changes the handler of this signal.
     unsafe { libc::signal(signal, libc::SIG_IGN) };
 }
 
@@ -59,8 +60,9 @@ fn ignore(signal: libc::c_int) {
 static UNFINISHED: OnceLock<Cancel> = OnceLock::new();
 
 /// Installs signal handlers for SIGABRT, which the standard library raises when no memory is left,
-/// and for crashes, which may happen in a driver. Also ends the process as if by SIGABRT if a new
-/// thread has no memory for its signal stack, in which case the standard library panics.
+/// and for crashes, which may happen in a driver. Also installs a panic hook: if a new thread has
+/// no memory for its signal stack, the standard library panics, and the hook aborts the process
+/// (SIGABRT).
 #[cfg(unix)]
 pub fn catch_crashes() {
     extern "C" fn abort(_: libc::c_int) {

@@ -90,7 +90,7 @@ fn execute(command: Command) -> Result<Verdict, Error> {
     }
 }
 
-/// The exit code of a command. Prints its error with `say_error`.
+/// Returns the exit code of a command. If the command failed, prints the error with `say_error`.
 fn code(verdict: Result<Verdict, Error>, say_error: impl FnOnce(&Error)) -> u8 {
     match verdict {
         Ok(Verdict::Good) => 0,

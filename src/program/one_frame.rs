@@ -52,8 +52,8 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    // `request.output` has created the output's folder, which may also be that of the statistics
-    // file.
+    // `request.output` has created the output's folder. The statistics file may be in the same
+    // folder, so this check comes after it.
     options.prepare_stats()?;
     let preview = options
         .preview
@@ -63,7 +63,7 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
         refuse_same_file(preview.path(), stats)?;
     }
 
-    // Attributes that the mesh file cannot store need not be computed.
+    // By default, attributes are not computed if the mesh file cannot store them.
     let carries = options.settings.attributes.is_some() || output.format().holds_attributes();
     let request = if carries { request } else { request.attributes([""; 0]) };
     Ok(PreparedRequest { request, output, preview, notes })

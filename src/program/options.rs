@@ -60,7 +60,8 @@ pub struct ReconstructOptions {
 }
 
 impl ReconstructOptions {
-    /// The request for a surface, without threads, memory and backend.
+    /// Returns the request for a surface. [`RunOptions::machine`] adds the threads, the memory
+    /// limit, the scratch folder and the backend.
     pub fn request(&self) -> Result<Reconstruction, Error> {
         let request = Reconstruction::new().with_settings(self.settings.clone());
         if self.run.vulkan_given() && !request.uses_backend() {

@@ -33,7 +33,7 @@ pub fn run(options: &PackOptions) -> Result<Verdict, Error> {
     let request = Reconstruction::new().with_settings(settings.clone());
     request.check_packing()?;
     request.check(input)?;
-    // Packed frames have no attributes.
+    // Packed frames contain no attributes, so `pack` reads none.
     let request = request.attributes([""; 0]).cancel(interrupt::handle());
     let request = run.machine(request, output, || bytes_of([input.as_path()]))?;
     request.check(input)?;

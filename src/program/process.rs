@@ -1,5 +1,5 @@
-//! Sets up the process: what happens to freed memory and to large files, and on which threads it
-//! runs.
+//! Sets up the process: how much freed memory the allocator keeps, what happens if a file exceeds
+//! the limit on file sizes, and which threads run the commands.
 
 use std::panic::resume_unwind;
 use std::thread;

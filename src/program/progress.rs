@@ -43,7 +43,7 @@ impl ProgressBars {
             _ => MultiProgress::new(),
         };
         let style =
-            |template: &str| ProgressStyle::with_template(template).expect("a template of ours");
+            |template: &str| ProgressStyle::with_template(template).expect("the template is valid");
         let frames = all.add(ProgressBar::new(bytes));
         frames.set_style(style("[{bar:30}] {msg}, {elapsed} elapsed, about {eta} left"));
         frames.enable_steady_tick(Duration::from_millis(500));
@@ -91,8 +91,8 @@ impl ProgressBars {
     }
 }
 
-/// Draws bars on standard error even if it is not a terminal, for callers that forward it to one.
-/// Ignores write errors.
+/// Draws bars on standard error even if it is not a terminal, for callers that forward standard
+/// error to a terminal. Ignores write errors.
 #[derive(Debug)]
 struct TerminalOutput;
 

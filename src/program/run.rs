@@ -30,7 +30,8 @@ pub struct RunOptions {
     /// The default is three quarters of the available memory.
     #[arg(long, value_name = "SIZE", help_heading = "Machine")]
     memory: Option<ByteSize>,
-    /// Folder for scratch files, if a frame exceeds the memory limit [default: the output's folder].
+    /// Folder for scratch files, if a frame exceeds the memory limit [default: the output's
+    /// folder].
     #[arg(long, value_name = "DIR", help_heading = "Machine", hide_short_help = true)]
     scratch: Option<PathBuf>,
     /// Replace existing outputs.
@@ -56,8 +57,8 @@ enum BackendName {
 
 impl RunOptions {
     /// Sets threads, memory, scratch folder and backend of a request. `input_bytes` returns the
-    /// size of the inputs in bytes, if known. It is called only if the choice of the backend
-    /// depends on this size.
+    /// size of the inputs in bytes, if known. This function calls it only if the choice of the
+    /// backend depends on this size.
     pub fn machine(
         &self,
         request: Reconstruction,

@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 use super::advice::error_message;
 use super::options::ReconstructOptions;
 
-/// Facts about the mesh of a frame, for its record.
+/// Facts about the mesh of a frame, for the statistics.
 pub struct MeshStats<'a> {
     pub input: &'a Path,
     pub output: &'a Path,
@@ -23,9 +23,10 @@ pub struct MeshStats<'a> {
 }
 
 impl ReconstructOptions {
-    /// Checks before the reconstruction that statistics can be appended, without creating the file.
-    /// A file with other contents than JSON records is refused. The file's folder need not exist
-    /// yet if it will be created for the meshes.
+    /// Checks, before the reconstruction, that statistics can be appended to the file. If this
+    /// check creates the file, it also removes it. Rejects a nonempty file that does not begin with
+    /// a JSON object. The file's folder need not exist yet if the reconstruction will create it for
+    /// the meshes.
     pub fn prepare_stats(&self) -> Result<(), Error> {
         let Some(path) = self
             .stats
@@ -56,13 +57,14 @@ impl ReconstructOptions {
     }
 }
 
-/// Refuses a file that does not begin with a JSON object.
+/// Rejects a nonempty file that does not begin with a JSON object.
 fn refuse_other_contents(path: &Path) -> Result<(), Error> {
     let mut first = [0];
-    // A file that may not be read can still be appended to.
+    // Ignores read errors, because the program may have the permission to append to a file but not
+    // the permission to read it.
     match File::open(path).and_then(|mut file| file.read(&mut first)) {
         Ok(1) if first != *b"{" => Err(Error::Request(format!(
-            "{}: the file has other contents than statistics; name another file for --stats",
+            "{}: this file does not contain statistics; name another file for --stats",
             path.display()
         ))),
         _ => Ok(()),

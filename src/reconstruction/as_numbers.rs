@@ -1,5 +1,5 @@
-//! Serializes a calibration to JSON. For clouds, this is the plateau; for other indicators, the
-//! isovalue, between 0 and 1, and mu0 for counting.
+//! Serializes a calibration to JSON. For clouds, the JSON contains the plateau. For other
+//! indicators, it contains the isovalue, between 0 and 1, and for counting also mu0.
 
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -33,9 +33,9 @@ pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Option<Calibrat
         Ok::<_, UnitError>(Calibration::Indicator { mean, iso: Isovalue::new(iso)? })
     };
     match (plateau, isovalue) {
-        (Some(0), _) => Err(D::Error::custom("a plateau of 0")),
+        (Some(0), _) => Err(D::Error::custom("the plateau is 0")),
         (Some(plateau), None) => Ok(Some(Calibration::Clouds { plateau })),
-        (Some(_), Some(_)) => Err(D::Error::custom("both a plateau and an isovalue")),
+        (Some(_), Some(_)) => Err(D::Error::custom("plateau and isovalue are both set")),
         (None, isovalue) => isovalue.map(calibration).transpose().map_err(D::Error::custom),
     }
 }

@@ -266,7 +266,7 @@ impl Reconstruction {
         self
     }
 
-    /// Whether the request uses a backend; kernel methods do not.
+    /// Whether the request uses a backend. False for kernel methods, which always run on the CPU.
     #[must_use]
     pub fn uses_backend(&self) -> bool {
         self.settings.kernels().is_none()

@@ -83,7 +83,7 @@ impl Reconstruction {
                 "the number of threads must be from 1 to {MOST_THREADS}, got {threads}"
             )));
         }
-        // A chunk is simplified as a whole, and each thread has its own chunk.
+        // Each thread keeps a whole chunk in memory while it simplifies the chunk.
         let simplifying = reduction.tolerance.map(|_| threads);
         let least =
             SMALLEST_BUDGET.0 + simplifying.map_or(0, |threads| BYTES_A_THREAD * threads as u64);
@@ -127,7 +127,8 @@ impl Reconstruction {
     }
 }
 
-/// Rejects the first meaningless setting whose value differs from its value in `known`.
+/// Returns an error for the first given setting for which `meaningless` is true, and whose value
+/// differs from its value in `known`.
 fn refuse(
     settings: &Settings,
     known: &Settings,
@@ -247,7 +248,8 @@ fn method(settings: &Settings) -> Result<Method, Error> {
     if kernels == KernelMethod::ZhuBridson && settings.isovalue().is_some() {
         refuse_named(settings, &["iso"], conflict)?;
     }
-    // The isovalue of a kernel method is also rounded to a step of a 16-bit field.
+    // Like the isovalue of an indicator, the isovalue of a kernel method is rounded to a step of a
+    // 16-bit field.
     let asked = settings.isovalue().map(Isovalue::new).transpose()?.map(Isovalue::value);
     Ok(Method::Kernels(match kernels {
         KernelMethod::Mueller { iso } => KernelMethod::Mueller { iso: asked.unwrap_or(iso) },
@@ -403,8 +405,8 @@ impl CheckedRequest {
         }
     }
 
-    /// The memory for an input that must be unpacked or decoded, which is an eighth of the budget,
-    /// and the folder for the rest.
+    /// The limits for an input that must be unpacked or decoded: an eighth of the budget in memory,
+    /// and the scratch folder for data beyond this amount.
     pub(crate) fn unpacking(&self) -> Unpacking<'_> {
         Unpacking {
             in_memory: self.resources.budget.0 / 8,

@@ -138,7 +138,7 @@ impl Frame {
     /// Makes a surface with other settings, from smoothing to simplifying. Settings that need the
     /// particles cannot change.
     ///
-    /// Memory, threads and backend remain those of the frame.
+    /// The surface uses the memory limit, the threads and the backend of the frame.
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::SettingConflict`], also if settings of the sampling differ from

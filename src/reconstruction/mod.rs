@@ -1,4 +1,5 @@
-//! The facade: particles to a surface in one call, and the policy that chooses defaults.
+//! The public interface for single frames: turns particles into a surface, and chooses the
+//! defaults.
 //!
 //! There are four ways to make a frame's mesh. All take the same steps:
 //!

@@ -43,8 +43,8 @@ pub struct Needs {
     pub scratch: u64,
     /// Folder of the scratch files.
     pub scratch_folder: PathBuf,
-    /// Additional bytes for simplifying, if it is requested: first those that must be in memory,
-    /// then those that can be in memory or in scratch files.
+    /// Additional bytes for simplifying, if it is requested: first the bytes that must be in
+    /// memory, then the bytes that can be in memory or in scratch files.
     pub simplifying: Option<[u64; 2]>,
     /// Additional memory, in bytes, of the writer, if it holds the whole mesh in memory.
     pub writing: Option<u64>,
@@ -141,8 +141,8 @@ fn forecast(
             None => (expected, None),
         });
     }
-    // Kernel methods have no indicator, so `sight` cannot tell which particles affect a sample of
-    // the blocks, and no sample is measured.
+    // Kernel methods have no indicator, so `sight` cannot determine which particles affect a sample
+    // of the blocks, and no sample is measured.
     let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);

@@ -38,8 +38,8 @@ impl Reconstruction {
     ///
     /// # Errors
     /// [`Error::Unit`], [`Error::Domain`], [`Error::SettingConflict`] for settings that do not
-    /// apply on a device, [`Error::Request`] without spacing and cell size, and [`Error::Frame`]
-    /// for cells that are too fine for the spacing.
+    /// apply on a device, [`Error::Request`] if the request has neither a spacing nor a cell size,
+    /// and [`Error::Frame`] for cells that are too fine for the spacing.
     pub fn on_device(&self) -> Result<DeviceRequest, Error> {
         let settings = self.settings.without_default_method();
         refuse_named(&settings, &OF_HOST, || Conflict::OnDevice)?;
@@ -65,9 +65,9 @@ impl Reconstruction {
         };
         let grid = request.grid(size)?;
         let domain = request.domain(&grid)?;
-        // Kernel methods are refused above.
+        // `refuse_named` has rejected kernel methods above.
         let Method::Indicator { kind, mean } = request.method else {
-            unreachable!("a method was refused")
+            unreachable!("kernel methods are rejected")
         };
         let spacing = request.spacing;
         surfacing

@@ -25,7 +25,7 @@ pub struct OpenedFrame {
     path: PathBuf,
     pub(super) ready: StartedRequest,
     pub(super) input: Input,
-    /// Walls that were found although the settings do not ask for them.
+    /// Walls that meniscus found, if the settings do not request found walls.
     hint: Option<FoundWalls>,
     gaps: Vec<GapAtWall>,
     pub(super) timings: Timings,
@@ -113,7 +113,7 @@ impl CheckedRequest {
         Ok(self.resources.control.cancel.go_on()?)
     }
 
-    /// Chooses how to sample particles that the caller counts.
+    /// Chooses how to sample particles, without counting them.
     pub(super) fn choose(
         &self,
         particles: &dyn Particles,
@@ -193,7 +193,8 @@ impl OpenedFrame {
     }
 
     /// The walls that were found, and whether the fluid ends at them: true if the request asks for
-    /// found walls, false if the walls are only a hint. `None` without a search.
+    /// found walls, false if the walls are only a hint. `None` if meniscus did not search for
+    /// walls.
     #[must_use]
     pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
         let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());
@@ -229,7 +230,8 @@ impl OpenedFrame {
     }
 
     /// Checks, before the particles are sampled, that the format of `output` can store the
-    /// attributes that the settings name. Whether integers are a colour depends on their values.
+    /// attributes that the settings name. This check may read the values of these attributes,
+    /// because the values determine whether integers are a colour.
     ///
     /// # Errors
     /// [`Error::SettingConflict`], and [`Error::Frame`] for values that a mesh cannot store.
@@ -252,8 +254,8 @@ impl OpenedFrame {
     /// Samples the particles. Several surfaces can be made from the result.
     ///
     /// # Errors
-    /// [`Error::Frame`] for particles that cannot be placed or exceed the memory, and
-    /// [`Error::Cancelled`].
+    /// [`Error::Frame`] for particles that cannot be placed on the grid or do not fit into the
+    /// memory limit, and [`Error::Cancelled`].
     pub fn sample(self) -> Result<Frame, Error> {
         let Self { path, ready, input, mut timings, .. } = self;
         let checked = &ready.checked;

@@ -94,7 +94,7 @@ pub struct ChosenSampling {
     pub cells: Cells,
     /// Whether the grid was moved to suit a lattice.
     pub moved: bool,
-    /// The particles counted by bin, if they were counted in the same reading.
+    /// The number of particles in each bin, if the particles were counted in the same reading.
     pub plan: Option<BinPlan>,
 }
 
@@ -184,15 +184,15 @@ impl SamplingRequest {
         request
     }
 
-    /// The request with the found `walls`, if it asks for found walls.
+    /// The request with the found `walls`, if the request asks for found walls.
     #[must_use]
     pub fn in_walls(&self, walls: Option<&Walls>) -> Self {
         let walls = walls.filter(|walls| self.search == WallSearch::Walls && !walls.is_open());
         Self { walls: walls.map(Walls::corners).or(self.walls), ..self.clone() }
     }
 
-    /// The request with walls that were found on other frames, if it asks for found walls. Walls
-    /// that particles of this frame have crossed are moved or removed, and are also returned.
+    /// The request with walls that were found on other frames, if the request asks for found walls.
+    /// Walls that particles of this frame have crossed are moved or removed, and are also returned.
     #[must_use]
     pub fn in_walls_around(
         &self,
@@ -305,7 +305,8 @@ impl SamplingRequest {
         }
         if seeks_walls {
             let ends = self.ends(particles, known, &cells)?;
-            // In a domain, only the planes at which the particles end matter.
+            // If the caller gave walls, the scene file is not used: only the planes at which the
+            // particles end matter.
             let scene = from.path.filter(|_| self.walls.is_none());
             let found = ends.map(|ends| self.walls_of(&[ends], scene));
             cells.walls =
@@ -338,13 +339,15 @@ impl SamplingRequest {
     ) -> Result<Option<(FoundSizes, Option<SpacingWarning>)>, Error> {
         let is_usual = matches!(self.size, SizeChoice::Usual | SizeChoice::OneFor(_));
         let columns = self.size.columns(particles.attributes())?;
-        // Unless the user asks for sizes, similar masses mean one size, because densities differ in
-        // any gas.
+        // If the user did not name an attribute, masses and smoothing lengths count as sizes only
+        // if the masses differ. Different densities are not enough, because densities differ in any
+        // gas.
         let Some(columns) = columns.filter(|columns| columns.are_sizes(particles)) else {
             return Ok(None);
         };
         let mut found = match Sizes::found(particles, &columns) {
-            // The user did not ask for this attribute.
+            // The user did not name this attribute, so it is no error if no particle has a valid
+            // size.
             Err(SizeFault::NoSize { .. }) if is_usual => return Ok(None),
             found => found?,
         };

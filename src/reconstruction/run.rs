@@ -59,8 +59,8 @@ impl Reconstruction {
     /// Opens a particle file or a packed frame.
     ///
     /// # Errors
-    /// [`Error::Read`], and those errors of [`run`](Self::run) that are detected without reading
-    /// particles.
+    /// [`Error::Read`], and those errors of [`run`](Self::run) that occur before the particles are
+    /// sampled.
     pub fn open(&self, path: impl AsRef<Path>) -> Result<OpenedFrame, Error> {
         self.open_together(&[path.as_ref()])
     }
@@ -69,8 +69,8 @@ impl Reconstruction {
     /// attributes that all files have.
     ///
     /// # Errors
-    /// [`Error::Read`], those errors of [`run`](Self::run) that are detected without reading
-    /// particles, and [`Error::Request`] if `paths` is empty.
+    /// [`Error::Read`], those errors of [`run`](Self::run) that occur before the particles are
+    /// sampled, and [`Error::Request`] if `paths` is empty.
     pub fn open_together(&self, paths: &[impl AsRef<Path>]) -> Result<OpenedFrame, Error> {
         let paths: Vec<&Path> = paths.iter().map(AsRef::as_ref).collect();
         self.checked()?.on_threads()?.open(&paths)

@@ -72,7 +72,8 @@ pub enum Warning {
         /// The number of the calibration frame, if frames have numbers.
         calibration_frame: Option<i64>,
     },
-    /// The colours of this frame have alpha and those of other frames do not, or the reverse.
+    /// The colours of this frame have an alpha component and the colours of other frames do not, or
+    /// vice versa.
     Alpha {
         /// The colour.
         attribute: String,
@@ -279,8 +280,8 @@ impl fmt::Display for Warning {
                 let what = if own > shared { "leaves out its alpha" } else { "makes it opaque" };
                 write!(
                     f,
-                    "the colour \"{attribute}\" has {own} components in this frame, but {shared} in \
-                     other frames; meniscus {what}"
+                    "the colour \"{attribute}\" has {own} components in this frame, but {shared} \
+                     in other frames; meniscus {what}"
                 )
             }
             Self::DeviceFallback(what) => f.write_str(what),
@@ -359,7 +360,8 @@ impl fmt::Display for Warning {
             }
             Self::InvertedSolid(path) => write!(
                 f,
-                "{}: the triangles of the solid face inwards; meniscus treats them as facing outwards",
+                "{}: the triangles of the solid face inwards; meniscus treats them as facing \
+                 outwards",
                 path.display()
             ),
             Self::ThinSolid { path, thickness, cell_size } => write!(
@@ -433,7 +435,7 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
 }
 
 /// Warnings about particles that are too dense, at the same position or without a value of an
-/// attribute, and about a low mean of the indicator symmetry.
+/// attribute, about cells that are too wide, and about a low mean of the indicator symmetry.
 pub(crate) fn of_particles<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,
@@ -464,8 +466,8 @@ pub(crate) fn of_particles<'a>(
     warnings
 }
 
-/// Warnings about attributes that the vertices of the calibration frame have, with the kinds
-/// `known`, and that are not among the attributes `own` of a frame.
+/// Warnings about the attributes in `known`, which the vertices of the calibration frame have, that
+/// are missing from `own`, the attributes of another frame.
 pub(crate) fn missing_attributes(
     own: &[AttributeInfo],
     known: &[SettledKind],

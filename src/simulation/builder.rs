@@ -37,7 +37,8 @@ pub struct Simulation {
     pub(super) watch: Option<f64>,
     pub(super) fps: Option<f64>,
     pub(super) also_written: Vec<PathBuf>,
-    /// Whether to only plan. A plan converts nothing, so outputs of this simulation may exist.
+    /// Whether this run only plans. A plan converts nothing, so meshes from earlier runs of this
+    /// simulation may exist.
     pub(super) planned: bool,
     /// Whether a contact sheet will be drawn.
     pub(super) sheet: bool,
@@ -46,7 +47,7 @@ pub struct Simulation {
 }
 
 impl Simulation {
-    /// A request for the meshes of frames.
+    /// A request for the meshes of a simulation's frames.
     ///
     /// The input is a pattern with `{}` for the frame number, a folder, a glob, or a file with
     /// several steps. The output is a pattern with `{}` or `{:04}`, a folder for `.ply` files,

@@ -104,8 +104,9 @@ impl Conversion<'_> {
         let mut jobs =
             todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
         if self.settled.get().is_none() {
-            // The first frame is most likely the calibration frame. After the calibration, it is
-            // sent together with its file, which is already open. One lane waits for it.
+            // The first frame is most likely the calibration frame, so one lane stays free for it.
+            // After the calibration, the frame is sent to the lanes together with its file, which
+            // is already open.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames)?;

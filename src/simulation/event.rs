@@ -29,8 +29,8 @@ pub enum Event {
     Waiting {
         /// The inputs of the request.
         inputs: String,
-        /// Number of frames so far on which the others cannot be calibrated, usually because
-        /// their fluid is too shallow.
+        /// Number of frames examined so far. None of them is suitable for the calibration, usually
+        /// because the fluid is too shallow.
         unsuitable: usize,
     },
     /// The numbers in the names of the frames are decimals, which count as times.
@@ -325,7 +325,7 @@ impl fmt::Display for Event {
             Self::Waiting { inputs, unsuitable } => write!(
                 f,
                 "{inputs}: waiting for a frame with deeper fluid, to calibrate all frames on it; \
-                 frames so far: {unsuitable}"
+                 frames examined so far: {unsuitable}"
             ),
             Self::TimesInNames { path, time } => write!(
                 f,

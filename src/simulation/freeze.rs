@@ -229,7 +229,7 @@ impl Setup<'_> {
         })
     }
 
-    /// Opens the particles of a frame on which something is measured.
+    /// Opens the particles of a frame for a measurement.
     fn open_particles(
         &self,
         frame: &FrameFile,
@@ -255,7 +255,7 @@ impl Setup<'_> {
     }
 
     /// Measures one frame for all frames. `lattice` is the calibration of an earlier frame whose
-    /// particles form a lattice; its grid, its mu0 and its spacing are used.
+    /// particles form a lattice. If it is given, its grid, mu0 and spacing are used for this frame.
     fn measure_on(
         &self,
         frame: &FrameFile,

@@ -9,8 +9,8 @@ use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
 /// Finds the numbers that are missing between the frames. The step is the largest number that
-/// divides all differences between existing frame numbers, except for a last frame that does not
-/// fit the others.
+/// divides all differences between consecutive frame numbers. If there are more than `REGULAR`
+/// frames, the last frame does not affect the step.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
     let step_of = |frames: &[FrameFile]| {
         let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
@@ -91,7 +91,7 @@ impl Gaps {
         Self { ranges: self.ranges.iter().filter_map(clipped).collect(), ..self.clone() }
     }
 
-    /// Leaves out the gaps all of whose frames have a number in `finished`.
+    /// Removes each gap if the numbers of all its frames are in `finished`.
     pub fn without(mut self, finished: &BTreeSet<i64>) -> Self {
         let step = self.step.max(1);
         self.ranges.retain(|&(first, last)| {
@@ -145,7 +145,7 @@ mod tests {
         assert_eq!(gaps(&frames(&[3, 4, 5])).ranges, []);
         assert_eq!(gaps(&frames(&[0, 2, 4, 5])).ranges, [(1, 1), (3, 3)]);
         assert!(gaps(&frames(&[1, 10, 20])).sparse);
-        assert!(gaps(&frames(&[0, 12, 13, 14])).sparse, "four frames of fifteen are a choice");
+        assert!(gaps(&frames(&[0, 12, 13, 14])).sparse, "4 of 15 frames count as a selection");
     }
 
     #[test]

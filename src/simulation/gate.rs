@@ -4,8 +4,8 @@ use std::sync::OnceLock;
 
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-// These are the types of the standard library, except in a test that tries every order of the
-// threads.
+// These are the types of the standard library, except in a test that checks many interleavings of
+// the threads.
 use super::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Lets several frames run in parallel, or one frame alone.

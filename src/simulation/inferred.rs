@@ -12,10 +12,10 @@ use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 ///
 /// Names that differ in more than their numbers belong to different simulations. In names that
 /// differ only in numbers, the number that varies is the frame number. In the name of a single
-/// file, it is the last number. If several numbers vary, the last one is the frame number if the
-/// others distinguish parallel simulations. A number after `rank` or `proc` is the number of a
-/// piece if every frame has the same pieces. Decimal numbers are times if they continue from one
-/// integer to the next.
+/// file, it is the last number. If several numbers vary, and all numbers except the last
+/// distinguish parallel simulations, the last number is the frame number. A number after `rank` or
+/// `proc` is the number of a piece if more than half of the frames have all pieces. Some decimal
+/// numbers are times: see [`times`].
 ///
 /// # Errors
 /// [`SimulationError::Names`] if several numbers could be the frame number.
@@ -108,8 +108,8 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
         all(number).map(|text| text.split('.').next().unwrap_or(text)).collect();
     let fractions: BTreeSet<&str> =
         all(number).map(|text| text.split_once('.').map_or("", |(_, fraction)| fraction)).collect();
-    // Decimal numbers may end in 0 only if all of them have the same number of digits: in names
-    // with 0.9 and 0.10, the numbers are not decimal.
+    // Decimal numbers may end in 0 only if all of them have the same number of decimal places: in
+    // names with 0.9 and 0.10, the numbers are not decimal.
     let lengths: BTreeSet<usize> = fractions.iter().map(|fraction| fraction.len()).collect();
     if lengths.len() > 1 && fractions.iter().any(|f| f.len() > 1 && f.ends_with('0')) {
         return None;
@@ -200,7 +200,7 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
 
 /// Texts between the number of a piece and the total number of pieces.
 const OF: [&str; 3] = ["of", "_of_", "-of-"];
-/// Texts that can also stand between other numbers.
+/// Texts that can stand between these two numbers, but also between other numbers.
 const MAY_BE_OF: [&str; 3] = ["_", "-", "."];
 
 /// Files whose names seem to contain the number of pieces.
@@ -213,7 +213,8 @@ struct KnownCount {
 }
 
 /// Finds the number of pieces in the names of files: `a_0of2_050` and `a_1of2_050` are the two
-/// pieces of frame 50, and `a_0_2_050` and `a_1_2_050` may be. Every frame must have all pieces.
+/// pieces of frame 50. `a_0_2_050` and `a_1_2_050` may be two pieces of frame 50, or frames of two
+/// simulations. Every frame must have all pieces.
 fn of_known_count(files: &[&FrameCandidate], varying: &[usize]) -> Option<KnownCount> {
     let (first, &[one, other]) = (files[0], varying) else { return None };
     let count = |run: usize| {
@@ -262,7 +263,7 @@ fn is_padded(digits: &str) -> bool {
 
 /// Finds files that are pieces of frames, by the word before the piece's number. A word such as
 /// `rank` is sufficient evidence. After a word with other uses, such as `part`, the number counts
-/// as that of a piece only if there are at most as many pieces as frames.
+/// as the number of a piece only if there are at most as many pieces as frames.
 ///
 /// # Errors
 /// [`SimulationError::Names`] if half or more of the frames lack the piece of a process, or if the
@@ -279,7 +280,8 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
     let is_process = |&run: &usize| is_called(run, &PROCESSES);
     let (piece, frame) = match varying {
         [piece] if is_process(piece) => {
-            // The frame's number is the last of the other numbers.
+            // Only the number of the piece varies, so the frame number is the last other number in
+            // the name.
             let Some(frame) = (0..first.runs.len()).rev().find(|run| run != piece) else {
                 return Err(SimulationError::Names(format!(
                     "{}: the only number in this name looks like the number of a process, not of \
@@ -364,8 +366,8 @@ fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
 /// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
 /// `last`. There must be fewer simulations than frames in the longest one, and at least half of the
 /// frame numbers of each simulation must also occur in the longest one. If all simulations have the
-/// same numbers, which count from 0, these can be the numbers of pieces, unless they are padded
-/// like frame numbers.
+/// same numbers 0, 1, 2 and so on, these can be the numbers of pieces, unless they are padded like
+/// frame numbers.
 fn side_by_side(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {
@@ -548,7 +550,7 @@ mod tests {
                 ["\"a_{}_rank{piece}.xyz\"", "\"a_{}_rank0.xyz\""],
             ),
             (&["rank0.xyz", "rank1.xyz"], ["\"rank{}.xyz\"", "join"]),
-            // The second number may be the number of pieces.
+            // The second number may be the total number of pieces.
             (
                 &["g-0_2-050.xyz", "g-1_2-050.xyz", "g-0_2-100.xyz", "g-1_2-100.xyz"],
                 ["\"g-{piece}_2-{}.xyz\"", "\"g-0_2-{}.xyz\""],

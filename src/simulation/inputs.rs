@@ -21,9 +21,9 @@ use super::numbered::{joined, timed, whole};
 use super::pattern::{FrameCandidate, NumberKind, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
-/// Upper limit of [`Sequence::patience`]: a file with an ambiguous name counts as a frame at the
-/// latest when it has stayed unchanged for this time. Until then, another file can appear that
-/// shows how to interpret the name.
+/// Upper limit of [`Sequence::patience`]. A file with an ambiguous name counts as a frame if it has
+/// not changed for this time. Until then, another file can appear that shows how to interpret the
+/// name.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A request for the frames of one or several simulations.
@@ -33,7 +33,7 @@ pub enum Inputs {
     Pattern(Pattern),
     /// All supported files in a folder. Packed frames count only if there are no particle files.
     Folder(PathBuf),
-    /// A glob that a shell would expand.
+    /// A glob, such as `sim/*.vtk`.
     Glob(String),
     /// A list of files.
     Files(Vec<PathBuf>),
@@ -130,9 +130,9 @@ impl Inputs {
 
     /// The simulations among the existing files. In a folder with particles, meshes are ignored.
     ///
-    /// When watching, the simulation is over after `idle` seconds without a new or changed file. A
-    /// file in a folder or a glob whose name is ambiguous counts as a frame when the file has not
-    /// changed for the same time, or for 5 minutes if `idle` is longer. In the meantime, another
+    /// When watching, the simulation is over after `idle` seconds without a new or changed file. In
+    /// a folder or a glob, a file with an ambiguous name counts as a frame when the file has not
+    /// changed for `idle` seconds, or for 5 minutes if `idle` is longer. In the meantime, another
     /// file can show whether the ambiguous file is a piece, or which number in its name is the
     /// frame number.
     ///
@@ -317,7 +317,8 @@ impl Inputs {
                     frames.retain(|frame| !frame.runs.is_empty());
                     frames
                 };
-                // Packed frames beside particle files may be copies of their frames.
+                // If the folder also contains particle files, the packed frames may have been made
+                // from them, so the packed frames are ignored.
                 let of_particles = frames(is_known);
                 if of_particles.is_empty() { frames(is_packed) } else { of_particles }
             }
@@ -375,7 +376,8 @@ impl Sequence {
         self.pattern.as_ref().is_some_and(|pattern| pattern.numbers == NumberKind::Whole)
     }
 
-    /// Whether the numbers in the names count as times although the request does not say so.
+    /// Whether the numbers in the names count as times although the request has no pattern with
+    /// `{time}`.
     pub(super) fn infers_times(&self) -> bool {
         let is_inferred = match &self.source {
             Inputs::Together(members) => {
@@ -684,8 +686,8 @@ fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     for entry in entries {
         let entry = entry.map_err(fail)?;
         let path = entry.path();
-        // Opening a pipe would wait for another program. A broken link stays, so that it is
-        // reported.
+        // Leaves out pipes, because opening a pipe would wait for another program. Keeps broken
+        // links, so that they are reported.
         let is_file = match entry.file_type() {
             Ok(kind) if !kind.is_symlink() => kind.is_file(),
             _ => path.metadata().map_or(true, |file| file.is_file()),

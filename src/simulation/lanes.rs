@@ -2,7 +2,7 @@
 
 use crate::grid::units::MemoryBudget;
 
-/// Minimum memory, in bytes, of a lane. With less memory, another lane is not worth a thread.
+/// Minimum memory, in bytes, of a lane. With less memory per lane, fewer lanes are used.
 const LEAST: u64 = 64 << 20;
 
 /// Threads and memory of each lane.
@@ -37,7 +37,7 @@ impl Division {
         Self {
             lanes,
             threads: (threads / lanes).max(1),
-            // Each lane may hold an open frame while one of them computes.
+            // Each lane may hold an open frame while one frame computes alone.
             opening: part(budget.0 / 4 / lanes as u64),
             share: part(budget.0 / 4 * 3 / lanes as u64),
             alone: part(budget.0 / 4 * 3),

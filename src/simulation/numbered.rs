@@ -75,12 +75,12 @@ pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     (0..).zip(files).map(frame).collect()
 }
 
-/// Joins the frames with the same number from several simulations. A frame that one of them lacks
-/// is incomplete.
+/// Joins the frames with the same number from several simulations. If one of the simulations lacks
+/// a frame, the joined frame is incomplete.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if two simulations have no frame number in common, or differ in
-/// times.
+/// [`SimulationError::Names`] if two simulations have no frame number in common, or if frames with
+/// the same number have different times.
 pub(super) fn joined(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,

@@ -23,7 +23,7 @@ pub enum NumberKind {
     Times,
 }
 
-/// A file name with a place for a number.
+/// A file name with a placeholder for a number.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pattern {
     /// The folder of the files.
@@ -53,14 +53,14 @@ impl std::fmt::Display for Pattern {
 }
 
 impl Pattern {
-    /// Finds the place of the number in the name of `path`: `{}`, `{:04}`, `{time}`, or another
-    /// program's notation. `None` if the name has no such place, or if the place is in another
-    /// program's notation and a file with exactly this name exists.
+    /// Finds the placeholder for the number in the name of `path`: `{}`, `{:04}`, `{time}`, or
+    /// another program's notation. Returns `None` if the name has no such placeholder, or if the
+    /// placeholder is in another program's notation and a file with exactly this name exists.
     ///
     /// # Errors
-    /// [`SimulationError::Names`] if the name has more than one place or an unknown notation, if
-    /// the name of a folder that does not exist has a place, or if `{piece}` occurs without another
-    /// place or directly next to it.
+    /// [`SimulationError::Names`] if the name has more than one placeholder or an unknown notation,
+    /// if the name of a folder that does not exist has a placeholder, or if `{piece}` occurs
+    /// without another placeholder or directly next to it.
     pub fn parse(path: &Path) -> Result<Option<Self>, SimulationError> {
         let wrong = |what: &str| Err(SimulationError::Names(format!("{}: {what}", path.display())));
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
@@ -103,12 +103,12 @@ impl Pattern {
         Ok(Some(Self { folder: folder.to_owned(), prefix, suffix, width, numbers }))
     }
 
-    /// Whether a frame may consist of several files.
+    /// Whether the pattern contains `{piece}`, so that a frame may consist of several files.
     pub(super) fn has_pieces(&self) -> bool {
         self.prefix.contains(PIECE) || self.suffix.contains(PIECE)
     }
 
-    /// The place of the number in a name; `None` if the name does not match the pattern.
+    /// The byte range of the number in a name; `None` if the name does not match the pattern.
     pub(super) fn place(&self, name: &str) -> Option<Range<usize>> {
         let digits =
             |text: &str| text.len() - text.trim_start_matches(|c: char| c.is_ascii_digit()).len();
@@ -176,7 +176,7 @@ impl Pattern {
     }
 }
 
-/// Whether a name has places for a number, all of which are in the notations of other programs.
+/// Whether a name has placeholders, and all of them are in the notations of other programs.
 pub(super) fn is_foreign(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let places = all(name);
@@ -212,7 +212,7 @@ pub(super) fn digit_runs(text: &str) -> Vec<Range<usize>> {
 /// have the same skeleton.
 pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
     let mut skeleton = text.to_owned();
-    // A zero byte occurs in no file name.
+    // No file name contains a zero byte.
     runs.iter().rev().for_each(|run| skeleton.replace_range(run.clone(), "\0"));
     skeleton
 }

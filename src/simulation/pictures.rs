@@ -330,7 +330,7 @@ impl Pictures {
             let files: Vec<PathBuf> = frames.iter().map(named).collect();
             for file in &files {
                 self.refuse_inputs(frames, file)?;
-                // The prepared file is not kept, because this only checks that the file can be
+                // The prepared file is not kept, because this loop only checks that the file can be
                 // written.
                 drop(PictureFile::prepare(file, self.replace, &self.cancel)?);
             }
@@ -687,8 +687,8 @@ impl Sheet {
         format!("a sheet of {}", names.join(", "))
     }
 
-    /// Returns whether the sheet may replace an existing file. It may if outputs may be replaced,
-    /// or if the conversion is resumed and the file is a sheet of its meshes.
+    /// Returns [`Replace::Allow`] if the sheet may replace an existing file: if outputs may be
+    /// replaced, or if the conversion is resumed and the file is a sheet of its meshes.
     fn replace(&self) -> Replace {
         let is_own = || {
             let file = File::open(&self.path).ok();

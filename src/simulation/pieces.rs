@@ -16,7 +16,7 @@ use crate::io::frame_files::{pieces_named, snapshot_piece, snapshot_pieces};
 
 use super::pattern::{FrameCandidate, all_digits, digit_runs, skeleton};
 
-/// Returns those of `paths` that are frames, in the same order.
+/// Returns the frames among `paths`, in the same order.
 pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
     // A file that cannot be read names no pieces; its conversion reports the error.
     let (mut named, mut to_come) = (HashSet::new(), HashSet::new());
@@ -88,12 +88,12 @@ pub(super) fn may_be_piece(path: &Path) -> bool {
     })
 }
 
-/// A snapshot, as known from the names of its files and from the header of one of them.
+/// Facts about a snapshot, from the names of its files and from the header of one file.
 struct Snapshot {
     in_pieces: bool,
     /// The lowest number of the existing pieces.
     first: u64,
-    /// Whether a file exists whose name is that of the pieces without their number.
+    /// Whether a file such as `base.hdf5` exists, without the number of a piece in its name.
     has_base: bool,
 }
 

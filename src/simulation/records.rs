@@ -348,7 +348,7 @@ mod tests {
         keep(&alive, &[(9, 6)]);
         assert!(
             all().any(|record| record == (9, 6)),
-            "what is written to a file without a name is lost"
+            "the record is not written to the removed log"
         );
         fs::remove_file(folder.path().join("frames.1.jsonl")).unwrap();
 
@@ -357,10 +357,7 @@ mod tests {
         let log = folder.path().join("frames.1.jsonl");
         let bytes = fs::read(&log).unwrap();
         fs::write(&log, &bytes[..bytes.len() - 2]).unwrap();
-        assert!(
-            all().eq([(3, 2), (4, 4), (5, 3), (7, 2), (12, 3)]),
-            "a line that was cut off is none"
-        );
+        assert!(all().eq([(3, 2), (4, 4), (5, 3), (7, 2), (12, 3)]), "a truncated line is ignored");
         drop(alive);
         fs::write(&log, "").unwrap();
         second.merge().unwrap();

@@ -55,8 +55,8 @@ pub(super) struct ExistingMeshes {
 }
 
 impl ExistingMeshes {
-    /// The existing meshes in `folder` of frames whose numbers are not in `known`, if they were
-    /// made with the state that has this fingerprint.
+    /// Returns the existing meshes in `folder` that were made with the state that has this
+    /// fingerprint. Leaves out frames whose numbers are in `known`.
     pub(super) fn of_other_frames(
         &self,
         known: &BTreeSet<i64>,
@@ -72,7 +72,8 @@ impl ExistingMeshes {
         others.filter(exists).map(|(_, mesh)| mesh)
     }
 
-    /// The files in `folder` of earlier meshes of wanted frames whose numbers are not in `listed`.
+    /// Returns the existing files in `folder` with earlier meshes of wanted frames. Leaves out
+    /// frames whose numbers are in `listed`.
     pub(super) fn stale(
         &self,
         listed: &BTreeSet<i64>,
@@ -265,8 +266,8 @@ impl Setup<'_> {
 
     /// Looks for a state with these settings and these inputs. A state that differs is stale if
     /// outputs may be replaced, or if the conversion is resumed and only the calibration frame has
-    /// changed. Otherwise, a difference is an error. A state is also stale if all frames are made
-    /// again by this process alone, because another frame may be better for the calibration by now.
+    /// changed. Otherwise, a difference is an error. A state is also stale if this process alone
+    /// makes all frames again, because another frame may be better for the calibration by now.
     pub(super) fn kept_state(
         &self,
         store: &StateFolder,
@@ -310,8 +311,9 @@ impl Setup<'_> {
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }
 
-    /// Rejects inputs in another place than those of the existing meshes, unless all frames that
-    /// have a mesh are unchanged: the inputs may have been moved.
+    /// Rejects inputs in another folder or file than the inputs of the existing meshes, unless the
+    /// inputs of all frames that have a mesh are unchanged. In this case, the inputs may have been
+    /// moved.
     fn refuse_other_inputs(
         &self,
         store: &StateFolder,

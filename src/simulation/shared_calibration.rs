@@ -54,12 +54,12 @@ pub struct SharedCalibration {
 }
 
 /// Maximum relative difference between the cells of a packed frame and those of the calibration
-/// frame. This difference changes the volume of the surface by about as much. Estimated spacings of
-/// similar frames differ by less.
+/// frame. This difference changes the volume of the surface by about the same percentage. The
+/// estimated spacings of similar frames differ by less than this maximum.
 const SAME_CELLS: f64 = 0.05;
 
 impl SharedCalibration {
-    /// Refuses a packed frame whose cells or spacing differ from those of the calibration frame. If
+    /// Rejects a packed frame whose cells or spacing differ from those of the calibration frame. If
     /// particles have several sizes, the spacing is the smallest size, which may differ.
     pub(super) fn check_cells(&self, facts: &FrameFacts) -> Result<(), FrameError> {
         if self.sizes.is_some() {
@@ -67,7 +67,7 @@ impl SharedCalibration {
         }
         let own = [facts.grid.cell_size(), facts.spacing.unwrap_or_default()];
         let calibrated = [self.cell_size, self.spacing.unwrap_or_default()];
-        // A spacing of 0 is not known.
+        // A spacing of 0 stands for an unknown spacing.
         let differs = |(own, calibrated): (f64, f64)| {
             own > 0.0 && calibrated > 0.0 && (own - calibrated).abs() > SAME_CELLS * calibrated
         };

@@ -58,7 +58,7 @@ impl State {
     /// A hash of all values of the state on which meshes in this format depend. Only archives
     /// (.abc) depend on the frame rate.
     pub fn fingerprint(&self, format: MeshFormat) -> u32 {
-        // The inputs may have been moved.
+        // The folder of the inputs is left out, because the inputs may have been moved.
         let mut state = Self { inputs: None, ..self.clone() };
         if !matches!(format, MeshFormat::Abc(_)) {
             state.settings.remove(FRAME_RATE);
@@ -85,7 +85,7 @@ pub enum StateLookup {
         /// The bytes of the state's file.
         text: Vec<u8>,
         /// Whether the state has other settings or is damaged. False if only the calibration frame
-        /// has changed, or if all frames are made again.
+        /// has changed, or if the run makes all frames again with the same settings.
         of_others: bool,
     },
 }
@@ -340,7 +340,7 @@ mod tests {
                 let mut anew = StateFolder::beside(&folder.path().join("fluid.ply"));
                 let stale = |of_others| StateLookup::Stale { text: text.clone(), of_others };
                 assert_eq!(anew.begin(stale(true), false).unwrap(), None);
-                assert_eq!(anew.load().unwrap(), store.load().unwrap(), "it stays until then");
+                assert_eq!(anew.load().unwrap(), store.load().unwrap(), "the old state stays");
                 assert!(matches!(anew.add(&other), Err(SimulationError::Busy(_))));
                 drop(busy);
                 assert_eq!(anew.add(&other).unwrap(), other);

@@ -43,7 +43,7 @@ pub(super) struct Tally<'a> {
     begun: Instant,
     /// The time of the last write of the series.
     series_written: Instant,
-    /// Whether frames are finished that the written series does not list.
+    /// Whether frames have finished since the last write of the series.
     is_behind: bool,
 }
 
@@ -88,7 +88,7 @@ impl<'a> Tally<'a> {
     }
 
     /// Adds finished meshes of frames that are not among the existing `frames`: their inputs were
-    /// removed, or are left out of this request. Returns their number.
+    /// removed, or are left out of this request. Returns the number of added meshes.
     ///
     /// If the request overwrites meshes, or if the frames have no numbers of their own, adds
     /// nothing: a mesh may belong to an earlier simulation, or its frame may have another number by
@@ -118,12 +118,13 @@ impl<'a> Tally<'a> {
         self.listed.values().any(|mesh| name.is_some_and(|name| *name == *mesh.file))
     }
 
-    /// Whether no further frame can succeed.
+    /// Whether an error has occurred that would also occur in all other frames.
     pub(super) fn is_broken(&self) -> bool {
         self.fatal.is_some()
     }
 
-    /// Records the outcome of a frame. Returns whether no further frame can succeed.
+    /// Records the outcome of a frame. Returns whether the frame failed with an error that would
+    /// also occur in all other frames.
     pub(super) fn take(
         &mut self,
         frame: &FrameFile,
@@ -221,8 +222,8 @@ impl<'a> Tally<'a> {
         })
     }
 
-    /// The requested first and last frame, if they are at least a step before or after the existing
-    /// `frames`.
+    /// The requested first frame if it is at least one step before the existing `frames`, and the
+    /// requested last frame if it is at least one step after them.
     fn unreached(&self, frames: &[FrameFile]) -> Vec<UnreachedEnd> {
         let (Some(first), Some(last)) = (frames.first(), frames.last()) else { return Vec::new() };
         let Simulation { selection, frames: range, .. } = self.conversion.setup.simulation;
@@ -255,7 +256,8 @@ impl<'a> Tally<'a> {
         let mut stale = meshes.stale(&numbers, outputs.folder(), |number| {
             simulation.wants(number) && simulation.selection.spans(number)
         });
-        // Frames that this run did not reach can still be resumed, so their meshes are not stale.
+        // A resumed run can still convert the frames that this run did not reach, so their meshes
+        // are not stale.
         if self.done < self.total {
             stale.clear();
         }

@@ -1,11 +1,11 @@
 //! Interpolates particle attributes to the vertices.
 //!
 //! A cell's value is blur(sum of values) / blur(N), where N is the number of particles in the cell.
-//! Both are blurred like the DIF. The value of a vertex is interpolated between the two cells at
-//! the ends of its edge, weighted by its position on the edge. Sums over particles are integers:
-//! values are rounded to multiples of a step. The step is a power of two, chosen so that the
-//! greatest magnitude among the particles that affect a block takes 30 bits. Particles with a value
-//! that is not finite are skipped.
+//! The sum and N are blurred like the DIF. The value of a vertex is interpolated between the two
+//! cells at the ends of its edge, weighted by its position on the edge. Sums over particles are
+//! integers: values are rounded to multiples of a step. The step is a power of two, chosen so that
+//! the greatest magnitude among the particles that affect a block takes 30 bits. Particles with a
+//! value that is not finite are skipped.
 //!
 //! Integers such as identifiers cannot be averaged, so a vertex takes the value of the nearest
 //! particle. Ties are decided by the particle's position, and then by its values.
@@ -149,7 +149,8 @@ pub fn nearest_values(
             }
         }
     }
-    // Sorted by cell, then by position and values, so that the input's order does not matter.
+    // Particles are sorted by cell, then by position and values, so that the result does not depend
+    // on their order in the input.
     found.sort_unstable();
     let of_cell = |cell: IVec3| {
         let index = index_of.index(cell);

@@ -74,8 +74,8 @@ impl Cancel {
     /// Removes all unfinished outputs, for a process that is about to exit. A thread that begins or
     /// ends an output after this call waits forever.
     ///
-    /// Outputs that already have their final name stay. Records of frames that are being written
-    /// are completed first.
+    /// Outputs that already have their final name stay. If another thread is writing the record of
+    /// a frame, this function first waits for that thread.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         remove(&self.unfinished());
@@ -125,8 +125,8 @@ impl Cancel {
     }
 }
 
-/// Suffixes of the folders that belong to a temporary file: the new folder, and the old one that it
-/// replaces.
+/// Suffixes of the folders that belong to a temporary file: the new folder, and the old folder that
+/// it replaces.
 pub(crate) const BELONGINGS: [&str; 2] = [".new", ".old"];
 
 /// The folder that belongs to a temporary file and has the suffix `ending`.
@@ -201,7 +201,7 @@ mod tests {
         cancel.abandon();
         assert!(done.exists() && !begun.exists());
         assert!(!cancel.is_cancelled());
-        // Dropping it would wait until the process ends.
+        // Dropping `unfinished` would wait forever, because `abandon` never releases its lock.
         std::mem::forget(unfinished);
     }
 

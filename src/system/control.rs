@@ -62,7 +62,7 @@ pub struct Progress {
 /// A callback for progress, which may be called from any thread.
 pub type Watcher = Arc<dyn Fn(Progress) + Send + Sync>;
 
-/// The means by which a caller follows the work on a frame and cancels it.
+/// Lets a caller follow the work on a frame, and cancel it.
 #[derive(Clone, Default)]
 pub struct Control {
     /// The cancel handle.
@@ -112,7 +112,7 @@ impl Control {
 
 /// Number of steps in a stage. Each step is reported.
 const STEPS: usize = 128;
-/// If the last report is older than this, less than a step of progress is also reported.
+/// If the last report is older than this, progress of less than a step is also reported.
 const LONG: Duration = Duration::from_millis(50);
 
 /// Counts the finished parts of a stage on all threads, reports progress to the caller, and checks

@@ -47,8 +47,8 @@ pub fn is_held(path: &Path) -> bool {
 /// The error code of Windows for a file that another process has opened and does not share.
 const SHARING_VIOLATION: i32 = 32;
 
-/// Opens for reading and writing, because some locks on network file systems need read access, and
-/// others need write access.
+/// Options that open a file for reading and writing, because some locks on network file systems
+/// need read access, and others need write access.
 fn options() -> OpenOptions {
     let mut options = OpenOptions::new();
     options.read(true).write(true);

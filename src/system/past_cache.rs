@@ -29,7 +29,7 @@ pub struct PastCache<'a> {
 
 /// The method by which the next bytes are written.
 enum WriteMode {
-    /// At most this many bytes go through the cache.
+    /// At most this many more bytes go through the cache.
     Cached(u64),
     /// Pieces are written without the cache. The current piece contains `filled` bytes.
     Past { piece: Vec<Page>, filled: usize },
@@ -47,7 +47,7 @@ impl<'a> PastCache<'a> {
         Self { file, way: WriteMode::Cached(cached) }
     }
 
-    /// Writes the rest of the last piece.
+    /// Writes the bytes of the last piece that are still in memory.
     ///
     /// # Errors
     /// Errors of the system, such as a full disk.

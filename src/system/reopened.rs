@@ -28,7 +28,7 @@ static OPEN: LazyLock<Cache<u64, Arc<File>>> = LazyLock::new(|| {
         // With one shard, the capacity is exact.
         .shards(1)
         .build()
-        .expect("all that has no default is given");
+        .expect("both required capacities are set");
     Cache::with_options(options, UnitWeighter, Default::default(), Default::default())
 });
 static NEXT: AtomicU64 = AtomicU64::new(0);

@@ -44,10 +44,10 @@ pub struct Batch {
     pool: vk::CommandPool,
     commands: vk::CommandBuffer,
     sets: vk::DescriptorPool,
-    /// Null if the queue has no timestamps.
+    /// Null if the queue does not support timestamps.
     queries: vk::QueryPool,
-    /// At the end of a submission, the device writes the submission's number here. This detects a
-    /// lost device whose calls still report success.
+    /// At the end of a submission, the device writes the submission's number here. The host
+    /// compares this number, to detect a lost device whose calls still report success.
     stamp: Arc<Buffer>,
     buffers: Vec<Arc<Buffer>>,
     pipelines: Vec<Arc<ComputePipeline>>,
@@ -162,7 +162,7 @@ impl Batch {
     fn timestamp(&self) {
         if self.queries != vk::QueryPool::null() {
             let number = self.stages.len() as u32;
-            assert!(number <= STAGES, "a batch times {STAGES} stages");
+            assert!(number <= STAGES, "a batch can time at most {STAGES} stages");
             let when = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
             // SAFETY: the commands are being recorded, and the query was reset.
             unsafe {
@@ -231,10 +231,13 @@ impl Batch {
         assert_eq!(buffers.len(), pipeline.shader.buffers.len(), "buffers of {pipeline:?}");
         assert_eq!(push.len(), pipeline.shader.push_bytes as usize, "push block of {pipeline:?}");
         let limits = self.device.limits;
-        assert!(Arc::ptr_eq(&pipeline.device, &self.device), "{pipeline:?} is of another device");
+        assert!(
+            Arc::ptr_eq(&pipeline.device, &self.device),
+            "{pipeline:?} belongs to another device"
+        );
         assert!(
             buffers.iter().all(|view| self.owns(view)),
-            "a buffer of {pipeline:?} is of another device"
+            "a buffer of {pipeline:?} belongs to another device"
         );
         assert!(
             buffers.iter().all(|view| view.offset.is_multiple_of(limits.alignment)),
@@ -304,8 +307,8 @@ impl Batch {
     /// # Panics
     /// If `from` is larger than `to`, or if a buffer belongs to another device.
     pub fn copy(&mut self, from: &View, to: &View) {
-        assert!(from.bytes <= to.bytes, "{} bytes into {}", from.bytes, to.bytes);
-        assert!(self.owns(from) && self.owns(to), "a buffer is of another device");
+        assert!(from.bytes <= to.bytes, "cannot copy {} bytes into {}", from.bytes, to.bytes);
+        assert!(self.owns(from) && self.owns(to), "a buffer belongs to another device");
         if from.bytes == 0 {
             return;
         }
@@ -330,7 +333,7 @@ impl Batch {
     /// # Panics
     /// If the buffer belongs to another device.
     pub fn clear(&mut self, view: &View) {
-        assert!(self.owns(view), "the buffer is of another device");
+        assert!(self.owns(view), "the buffer belongs to another device");
         if view.bytes == 0 {
             return;
         }
@@ -403,7 +406,7 @@ impl Batch {
     /// error, no semaphore is signalled.
     ///
     /// # Safety
-    /// The semaphores must belong to the device, and must live until the device has passed them.
+    /// The semaphores must belong to the device, and must live until the submission has finished.
     /// The work that signals the semaphores in `wait` must already have been submitted.
     pub unsafe fn submit_between(
         &mut self,

@@ -14,7 +14,7 @@ use super::{Device, Faults, VulkanError};
 
 #[cfg(unix)]
 type Descriptor = std::os::fd::OwnedFd;
-/// This type has no values, because imports are not supported.
+/// This type has no values, because imports are supported only on Unix.
 #[cfg(not(unix))]
 #[derive(Debug)]
 enum Descriptor {}
@@ -155,7 +155,7 @@ impl Device {
         import: Option<Descriptor>,
     ) -> Result<Arc<Buffer>, VulkanError> {
         let shared = &self.shared;
-        assert!(shared.exports.is_some(), "exports were asked for");
+        assert!(shared.exports.is_some(), "exports must be enabled");
         let mut buffer = self.unbound(bytes, HANDLE)?;
         // SAFETY: the buffer belongs to this device, and is new; all pointers outlive the calls.
         unsafe {
@@ -165,7 +165,8 @@ impl Device {
             let local = |kind: &vk::MemoryType| {
                 kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
             };
-            // This is the first of the best memory types. The exporter makes the same choice.
+            // Takes the first memory type that is local to the device; if none is local, the first
+            // type. The exporter makes the same choice.
             let (kind, _) = fitting
                 .min_by_key(|(_, kind)| !local(kind))
                 .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;
@@ -309,7 +310,7 @@ impl Buffer {
         use std::os::fd::FromRawFd;
         let (BufferMemory::Own(memory), Some(exports)) = (&self.memory, &self.device.exports)
         else {
-            panic!("the buffer was made to be exported");
+            panic!("the buffer was not created for export");
         };
         let info = vk::MemoryGetFdInfoKHR::default().memory(*memory).handle_type(HANDLE);
         // SAFETY: the memory belongs to this device, which can export it, and the descriptor is
@@ -375,7 +376,7 @@ impl Buffer {
     pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
         let from = self.mapped(offset, size_of::<T>() * count);
         self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
-        assert!(from.cast::<T>().is_aligned(), "{offset} is within a value");
+        assert!(from.cast::<T>().is_aligned(), "offset {offset} is not aligned");
         // SAFETY: `mapped` checked the range, any bits are a valid value, and by the caller's
         // guarantee nothing writes there.
         unsafe { std::slice::from_raw_parts(from.cast(), count) }
@@ -434,7 +435,7 @@ impl View {
     }
 
     /// Like [`part`](Self::part), but the start moves back to a multiple of `alignment` bytes in
-    /// the buffer. Also returns the number of words that this adds at the start.
+    /// the buffer. Also returns the number of words that are added at the start.
     ///
     /// # Panics
     /// If the view is too small, or if the part begins within a word.
@@ -442,7 +443,7 @@ impl View {
     pub fn aligned(&self, offset: u64, bytes: u64, alignment: u64) -> (Self, u32) {
         let part = self.part(offset, bytes);
         let added = part.offset % alignment;
-        assert!(added.is_multiple_of(4), "{} is within a word", part.offset);
+        assert!(added.is_multiple_of(4), "offset {} is not a multiple of 4", part.offset);
         (self.buffer.part(part.offset - added, bytes + added), (added / 4) as u32)
     }
 
@@ -487,7 +488,7 @@ impl Drop for Buffer {
             BufferMemory::Part(allocation) => {
                 let mut allocator =
                     self.device.allocator.lock().unwrap_or_else(PoisonError::into_inner);
-                allocator.free(allocation).expect("the allocation is this allocator's");
+                allocator.free(allocation).expect("the buffer's memory is from this allocator");
             }
             // SAFETY: the memory was bound only to this buffer.
             BufferMemory::Own(memory) => unsafe { self.device.raw.free_memory(memory, None) },

@@ -42,8 +42,8 @@ pub struct DeviceOptions {
     /// processes](Device::exported_buffer). The device needs `VK_KHR_external_memory_fd`, and an
     /// adopted device must have it enabled.
     pub exports: bool,
-    /// Additional usages of the buffers of an adopted device, such as building acceleration
-    /// structures.
+    /// Additional usages of the buffers, such as building acceleration structures. The device must
+    /// support them.
     pub usage: vk::BufferUsageFlags,
     /// SPIR-V binaries that replace the binaries of shaders, by the name of the shader. They must
     /// be compiled from the same sources.
@@ -206,7 +206,7 @@ impl Device {
         let families =
             unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
         let (family, transfer) = families::to_use(&families);
-        let family = family.expect("a device without compute is refused");
+        let family = family.expect("`choose` rejects devices without compute");
         let transfer = transfer.filter(|_| options.queues == Queues::All);
         let used: Vec<u32> = std::iter::once(family).chain(transfer).collect();
         let queue_infos: Vec<_> = used
@@ -230,7 +230,7 @@ impl Device {
             return Err(unfit("its memory cannot be exported"));
         }
         if options.addresses && !instance.has_addresses(info.physical) {
-            return Err(unfit("its buffers have no addresses"));
+            return Err(unfit("its buffers cannot have addresses"));
         }
         let extensions: Vec<_> = subset.iter().chain(&exports).map(|name| name.as_ptr()).collect();
         let create = vk::DeviceCreateInfo::default()
@@ -282,7 +282,7 @@ impl Device {
         let computes =
             |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
         let of_queue = (!families.get(family as usize).is_some_and(computes))
-            .then_some("its queue does not compute");
+            .then_some("its queue does not support compute");
         if let Some(lacks) = lacks(&instance, physical, &properties).or(of_queue) {
             let device =
                 properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned();
@@ -567,7 +567,7 @@ impl SharedDevice {
     }
 }
 
-/// The pipeline cache of earlier runs; `None` if the file is missing or damaged. The check is
+/// The pipeline cache of earlier runs; `None` if the file is missing or damaged. The checksum is
 /// needed because drivers do not check the data.
 fn read_cache(file: &Path) -> Option<Vec<u8>> {
     let bytes = fs::read(file).ok()?;

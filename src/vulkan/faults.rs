@@ -1,4 +1,4 @@
-//! Planned failures, to test the recovery from them.
+//! Planned failures, for tests of the recovery from failures.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 

@@ -10,8 +10,8 @@ use crate::system::memory::default_stack;
 
 use super::{MOST_BUFFERS, MOST_SHARED, MOST_THREADS, VulkanError};
 
-/// The smallest stack limit, in bytes, with which drivers are used: threads of lavapipe overflow a
-/// stack of 16 KiB.
+/// The smallest stack limit, in bytes, that meniscus accepts: threads of lavapipe overflow a stack
+/// of 16 KiB.
 const LEAST_STACK: u64 = 256 << 10;
 
 const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
@@ -91,7 +91,8 @@ pub struct DeviceInfo {
     pub conformance: [u8; 4],
     /// Bytes of the largest heap of the device's own memory.
     pub memory: u64,
-    /// Unused bytes of that heap, if the driver reports them; otherwise, all bytes of the heap.
+    /// Unused bytes of the largest heap, if the driver reports them; otherwise, all bytes of this
+    /// heap.
     pub free: u64,
     /// The queue families of the device.
     pub families: Vec<vk::QueueFamilyProperties>,

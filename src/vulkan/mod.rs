@@ -50,7 +50,7 @@ pub enum VulkanError {
     SmallStack {
         /// The current stack limit, in bytes.
         limit: u64,
-        /// The smallest stack limit, in bytes, with which drivers are used.
+        /// The smallest stack limit, in bytes, that meniscus accepts.
         least: u64,
     },
     /// The validation layer was requested, but is not installed.

@@ -58,7 +58,7 @@ impl Device {
     ) -> Result<[Arc<ComputePipeline>; N], VulkanError> {
         let compiled = shaders.par_iter().map(|shader| self.pipeline(shader).map(Arc::new));
         let compiled: Vec<_> = compiled.collect::<Result<_, _>>()?;
-        Ok(compiled.try_into().expect("there are as many"))
+        Ok(compiled.try_into().expect("each shader has one pipeline"))
     }
 
     /// Compiles a shader, or loads it from the pipeline cache.
@@ -79,8 +79,7 @@ impl Device {
             .stage_flags(vk::ShaderStageFlags::COMPUTE)
             .size(shader.push_bytes)];
         let binary = self.shared.binaries.get(shader.name).map_or(shader.code, Vec::as_slice);
-        let code =
-            read_spv(&mut std::io::Cursor::new(binary)).expect("the build holds whole SPIR-V");
+        let code = read_spv(&mut std::io::Cursor::new(binary)).expect("a binary has whole words");
         // From here on, dropping `pipeline` frees everything if a later step fails.
         let mut pipeline = ComputePipeline {
             device: Arc::clone(&self.shared),
@@ -108,7 +107,7 @@ impl Device {
             let module = raw
                 .create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&code), None)
                 .map_err(self.shared.noting("vkCreateShaderModule"))?;
-            let entry = std::ffi::CString::new(shader.name).expect("a plain name");
+            let entry = std::ffi::CString::new(shader.name).expect("a name without zero bytes");
             let stage = vk::PipelineShaderStageCreateInfo::default()
                 .stage(vk::ShaderStageFlags::COMPUTE)
                 .module(module)

@@ -3,8 +3,8 @@
 //! A file imports from another file if it uses an item that the other file defines. Neither a
 //! re-export nor `mod child;` is an import, so a `mod.rs` that only declares and re-exports has no
 //! imports. A `mod.rs` that uses an item of its child imports from the child, and a child that uses
-//! an item of its `mod.rs` imports from it. Tests and comments are ignored. In macros, names that
-//! `::` joins count as a path.
+//! an item of its `mod.rs` imports from the `mod.rs`. Tests and comments are ignored. In macros,
+//! names that `::` joins count as a path.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -100,8 +100,8 @@ pub fn files(folder: &Path) -> Vec<PathBuf> {
 struct File {
     name: String,
     syntax: syn::File,
-    /// For each name that the module's `use` declarations define, the path of the item, and whether
-    /// the declaration re-exports it.
+    /// Maps each name that the module's `use` declarations define to the path of the item, and to
+    /// whether the declaration re-exports the item.
     uses: BTreeMap<String, (Vec<String>, bool)>,
 }
 

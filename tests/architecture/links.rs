@@ -48,7 +48,7 @@ fn links_of_pages_lead_to_files_and_rustdoc_knows_their_labels() {
         for target in targets.filter(|target| !target.contains("://")) {
             let file = target.split('#').next().unwrap();
             let exists = file.is_empty() || page.with_file_name(file).exists();
-            assert!(exists, "{name}: no file {target}");
+            assert!(exists, "{name}: there is no file {target}");
             seen += 1;
         }
     }

@@ -1,5 +1,6 @@
-//! Checks that imports go one way. The source has several rooms in a fixed order, and a room may
-//! only use the rooms before it. Within a room, files may use each other.
+//! Checks that imports go one way. A room is a folder or a file directly in `src`. The rooms have a
+//! fixed order, and a room may only use the rooms before it. Within a room, files may use each
+//! other.
 //!
 //! `cargo test --test architecture -- --nocapture` prints every import. `architecture/imports.rs`
 //! defines what counts as an import.
@@ -63,10 +64,10 @@ fn no_room_imports_from_one_that_comes_after_it() {
     let room = |file: &str| room_of(file).unwrap_or_else(|| panic!("{file} is in no room"));
     let against = imports.iter().flat_map(|Import { from, to, by, path }| {
         let later = [to, by].into_iter().filter(|used| room(used) > room(from));
-        later.map(move |used| format!("{from} uses {used}, by the name of {path}"))
+        later.map(move |used| format!("{from} uses {used}, as {path}"))
     });
     let against: BTreeSet<String> = against.collect();
-    assert!(against.is_empty(), "against the order of rooms: {against:#?}");
+    assert!(against.is_empty(), "imports from later rooms: {against:#?}");
     assert!(imports.len() > 1000, "only {} imports were seen", imports.len());
     for ([from, to], paths) in ties(&imports) {
         println!("{from} -> {to}: {}", paths.join(", "));
@@ -92,10 +93,10 @@ fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
     assert!(bindings.len() > 5, "only {} files were seen", bindings.len());
     for file in program.into_iter().chain(bindings) {
         let text = std::fs::read_to_string(&file).unwrap();
-        assert!(!text.contains("internals"), "{}: uses what may change", file.display());
+        assert!(!text.contains("internals"), "{}: uses unstable items", file.display());
         // In the bindings, which are separate crates, `crate::` names only their own modules.
         let own = file.starts_with(source().join("bindings"));
-        assert!(own || !text.contains("crate::"), "{}: uses what is private", file.display());
+        assert!(own || !text.contains("crate::"), "{}: uses private items", file.display());
     }
 }
 
@@ -146,7 +147,7 @@ fn first_lines_of_docs_stand_alone() {
             before = kind;
         }
     }
-    assert!(seen > 2000, "only {seen} were seen");
+    assert!(seen > 2000, "only {seen} first lines were seen");
     assert!(going_on.is_empty(), "{going_on:#?}");
 }
 

@@ -44,7 +44,7 @@ fn the_oldest_rust_is_the_same_for_all_that_is_built() {
     for name in ["src/bindings/c/Cargo.toml", "src/bindings/python/Cargo.toml"] {
         assert_eq!(field(&read(name), "rust-version"), Some(oldest), "{name}");
     }
-    assert!(read("README.md").contains(oldest), "README.md names another Rust");
+    assert!(read("README.md").contains(oldest), "README.md requires another Rust version");
 }
 
 #[test]
@@ -63,6 +63,6 @@ fn addresses_are_those_of_the_repository() {
         let others = text
             .match_indices("https://github.com/")
             .filter(|(at, _)| !text[*at..].starts_with(address));
-        assert!(text.contains(address) && others.count() == 0, "{name} names another repository");
+        assert!(text.contains(address) && others.count() == 0, "{name} has a wrong address");
     }
 }

@@ -103,7 +103,7 @@ fn resident_frames_match_the_cpu_for_all_indicators_filters_and_walls() {
         }
     }
     drop((pipeline, input));
-    assert_eq!(device.allocated(), 0, "buffers remain");
+    assert_eq!(device.allocated(), 0, "some buffers are not freed");
     drop(device);
     assert_eq!(log.messages(), [""; 0]);
 }

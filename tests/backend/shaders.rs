@@ -27,7 +27,7 @@ fn every_binary_has_a_source_and_every_source_is_used() {
         match file.extension().unwrap().to_str().unwrap() {
             "spv" => binaries.push(stem),
             "wgsl" => sources.push(stem),
-            other => panic!("{other} in spirv"),
+            other => panic!("unexpected extension {other} in spirv"),
         }
     }
     binaries.sort();

@@ -46,7 +46,7 @@ fn validated<T>(test: impl FnOnce(&Device) -> T) -> Option<T> {
 fn validated_with<T>(options: &DeviceOptions, test: impl FnOnce(&Device) -> T) -> Option<T> {
     let (device, log) = device::open(options).map_err(device::skip).ok()?;
     let outcome = test(&device);
-    assert_eq!(device.allocated(), 0, "buffers remain");
+    assert_eq!(device.allocated(), 0, "some buffers are not freed");
     drop(device);
     assert_clean(&log);
     Some(outcome)
@@ -585,8 +585,8 @@ fn batches_with_too_many_vertices_are_emitted_again() {
     assert!(vertices > 6144 * regions.len(), "{vertices} in {} blocks", regions.len());
     validated(|device| {
         let vulkan = watched(device.clone()).unwrap();
-        // With a large budget, one batch of all regions is meshed again; with a small one, several
-        // smaller batches are.
+        // With a large budget, all regions are in one batch, which is meshed again. With a small
+        // budget, several smaller batches are meshed again.
         for budget in [budget, MemoryBudget(96 << 20)] {
             let frame = vulkan.executor().start(budget);
             assert!(contoured(&*frame, &surfaces, &regions) == expected);
@@ -641,7 +641,7 @@ impl Scene {
         Outcome { mesh, warnings: frame.warnings(), on_device: frame.on_device() }
     }
 
-    /// The work of a complete frame on the device; `None` without a device.
+    /// The work of a complete frame on the device, or `None` if there is no device.
     fn whole_work(self) -> Option<Work> {
         let run = |device: &Device| self.frame_on(watched(device.clone()).unwrap()).on_device;
         validated_with(&self.options(), run)
@@ -665,7 +665,7 @@ impl Scene {
             };
             assert!(outcome.mesh == expected, "{self:?}: call {number} failed");
             if !fault_reached {
-                assert_eq!(outcome.warnings, [""; 0], "{self:?}: a warning without a fault");
+                assert_eq!(outcome.warnings, [""; 0], "{self:?}: a warning, but no fault");
                 return failed;
             }
             failed.push(outcome);
@@ -769,12 +769,12 @@ fn the_pipeline_cache_is_reused_and_rewritten_if_damaged() {
     let Some(first) = run() else { return };
     let files: Vec<_> =
         std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().path()).collect();
-    let [file] = &files[..] else { panic!("not one cache file: {files:?}") };
+    let [file] = &files[..] else { panic!("expected one cache file, found {files:?}") };
     assert!(run() == Some(first.clone()));
     let mut bytes = std::fs::read(file).unwrap();
     let middle = bytes.len() / 2;
     bytes[middle] ^= 1;
     std::fs::write(file, &bytes).unwrap();
     assert!(run() == Some(first));
-    assert_ne!(std::fs::read(file).unwrap(), bytes, "the damaged cache is not rewritten");
+    assert_ne!(std::fs::read(file).unwrap(), bytes, "the damaged cache was not rewritten");
 }

@@ -1,8 +1,8 @@
-//! The oracle: implements METHOD.md on one dense array, as simply as possible.
+//! The oracle: implements `src/method.md` on one dense array, as simply as possible.
 //!
 //! There are two implementations. One uses the library's integers, and the sparse field must equal
-//! its result to the bit. The other uses f64, as METHOD.md describes. The oracle shares no code
-//! with the library except the marching-cubes table, which has its own tests.
+//! its result to the bit. The other uses f64, as `src/method.md` describes. The oracle shares no
+//! code with the library except the marching-cubes table, which has its own tests.
 
 use std::collections::BTreeMap;
 
@@ -31,7 +31,8 @@ impl Mirrors {
         Self([walls.lo * 2, walls.hi * 2])
     }
 
-    /// Returns the same planes in halves of cells that are twice as wide, rounded outwards.
+    /// Returns the same planes for cells that are twice as wide, in halves of these cells, rounded
+    /// outwards.
     pub fn wider(self) -> Self {
         let [lo, hi] = self.0;
         Self([lo.div_euclid(IVec3::splat(2)), (hi + 1).div_euclid(IVec3::splat(2))])
@@ -131,7 +132,8 @@ impl Method {
         self.indicator.mean().map_or(f64::NAN, |mean| mean.particles())
     }
 
-    /// The cells between the walls; without walls, all cells in which the field can differ from 0.
+    /// The cells between the walls or, without walls, all cells in which the field can differ from
+    /// 0.
     fn cells(&self, particles: &[[f64; 3]]) -> CellBox {
         self.walls.unwrap_or_else(|| {
             let reach = 2 * gaussian(self.sigma).len() as i32 + 2;
@@ -167,7 +169,7 @@ impl Method {
                     let centroid = offsets.iter().sum::<DVec3>() / n;
                     1.0 - 2.0 * (centroid - 0.5).length() / 3f64.sqrt()
                 }
-                Indicator::Cloud => unreachable!("clouds have an oracle of their own"),
+                Indicator::Cloud => unreachable!("`distances.rs` is the oracle of clouds"),
             }
         });
         let blur = |field: &Dense<f64>, half: &[f64]| {
@@ -207,7 +209,7 @@ impl Method {
             let Some(offsets) = by_cell.get(&cell.to_array()) else { return 0 };
             let n = offsets.len() as i128;
             match self.indicator {
-                Indicator::Cloud => unreachable!("clouds have an oracle of their own"),
+                Indicator::Cloud => unreachable!("`distances.rs` is the oracle of clouds"),
                 Indicator::Counting(_) => {
                     (((n as f64).min(self.mu0()) / self.mu0()) * 65535.0).round() as u16
                 }
@@ -257,8 +259,8 @@ impl Method {
     }
 }
 
-/// A key that sorts cells in mesh order: tiles of 4^3 cells along the Morton curve, and within a
-/// tile along x first.
+/// A key that sorts cells in mesh order. The order follows the Morton curve through tiles of 4^3
+/// cells. Within a tile, x varies fastest, and z slowest.
 fn order_of(cell: IVec3) -> (u64, i32) {
     let tile = (cell.div_euclid(IVec3::splat(4)) + (1 << 20)).to_array();
     let mut morton = 0;

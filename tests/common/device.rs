@@ -57,8 +57,8 @@ impl WatchedStages {
         let mut asked = self.asked.lock().unwrap();
         asked.pages += more.pages;
         asked.regions += more.regions;
-        assert_eq!(self.stages.warnings(), [""; 0], "something had to be made good");
-        assert_eq!(self.stages.on_device(), *asked, "not all of the work was done on the device");
+        assert_eq!(self.stages.warnings(), [""; 0], "the backend gave warnings");
+        assert_eq!(self.stages.on_device(), *asked, "the device did not do all of the work");
     }
 }
 
@@ -124,16 +124,16 @@ pub fn contoured(
 }
 
 /// Works around a bug in validation layers before 1.4.304 (issue 4391 of Vulkan-ValidationLayers):
-/// every call reads a table of instances and devices without a lock. So while a thread creates or
-/// frees an instance or a device, no other thread may make a call. Tests that open a device lock
-/// `LAYER` for writing, and run alone. Tests on the shared device lock it for reading, and run in
-/// parallel.
+/// in every Vulkan call, the layers read a table of instances and devices without a lock. While a
+/// thread creates or frees an instance or a device, no other thread may therefore make a Vulkan
+/// call. Tests that open a device lock `LAYER` for writing, and run alone. Tests on the shared
+/// device lock `LAYER` for reading, and run in parallel.
 static LAYER: RwLock<()> = RwLock::new(());
 
 /// The lock that a thread holds on `LAYER`. The lock lasts until the thread ends, after the test
 /// has freed its devices.
 #[derive(Default)]
-#[allow(dead_code, reason = "guards are only held")]
+#[allow(dead_code, reason = "guards are held, but not used")]
 enum Held {
     #[default]
     Not,
@@ -174,7 +174,7 @@ pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
     let info = instance.choose(&choice)?;
     assert!(
         !gpu || info.kind != DeviceKind::Cpu,
-        "a GPU is demanded: {} computes on the processor",
+        "MENISCUS_REQUIRE_VULKAN requires a GPU, but {} computes on the CPU",
         info.name
     );
     Ok((instance, info))
@@ -196,7 +196,7 @@ pub fn shared() -> Result<Backend, &'static VulkanError> {
         let (device, log) = open(&DeviceOptions::default())?;
         Ok((watched(device)?, log))
     };
-    // Release this thread's lock first: the thread that opens the device may wait for it.
+    // Release this thread's lock first, because the thread that opens the device may wait for it.
     HELD.take();
     let opened = SHARED.get_or_init(open_watched);
     HELD.set(Held::Shared(match HELD.take() {
@@ -213,7 +213,7 @@ pub fn shared() -> Result<Backend, &'static VulkanError> {
 pub fn skip(why: impl Display) {
     assert!(
         std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(),
-        "a Vulkan device is demanded: {why}"
+        "MENISCUS_REQUIRE_VULKAN requires a Vulkan device: {why}"
     );
     let thread = std::thread::current();
     // Write to stderr directly, because the harness hides what passing tests print.

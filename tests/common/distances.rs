@@ -1,9 +1,9 @@
 //! The oracle of the distances from clouds: implements the formulas on one dense array, as simply
 //! as possible.
 //!
-//! There are two implementations. One uses the library's integers, and the library must give the
-//! same bits. The other uses f64. The oracle shares only the committed tables with the library.
-//! Cells have edge 1, and the grid's origin is 0.
+//! There are two implementations. One uses the library's integers, and the library must equal its
+//! result to the bit. The other uses f64. The oracle shares only the committed tables with the
+//! library. Cells have edge 1, and the grid's origin is 0.
 
 use glam::{DVec3, IVec3};
 use meniscus::internals::field::distance::{AWAY, DEPTHS};
@@ -146,8 +146,8 @@ fn units(spacings: f64) -> i64 {
     (spacings * UNITS).round() as i64
 }
 
-/// Maximum distance from a point of the surface to the nearest particle, in wide cells: about one
-/// spacing. The edge of a wide cell is `edge` spacings.
+/// Maximum distance from a point of the surface to the nearest particle, in wide cells. This is
+/// about one spacing. The edge of a wide cell is `edge` spacings.
 fn near(edge: f64) -> i32 {
     (1.0 / edge).round().max(1.0) as i32
 }
@@ -267,12 +267,12 @@ impl Distances {
         let mut clouds = vec![(fine, self.walls.map(Mirrors::of))];
         for level in 0..level {
             let of = |level: u32| amount(self.spacing / f64::from(1 << level)) as f64;
-            let (finer, walls) = clouds.last().expect("there is one at level 0");
+            let (finer, walls) = clouds.last().expect("level 0 always exists");
             let wider = halved(finer, *walls, (of(level + 1) / of(level) * 65536.0) as u64);
             let walls = walls.map(Mirrors::wider);
             clouds.push((wider, walls));
         }
-        let (wide, walls) = clouds.last().expect("there is one at level 0");
+        let (wide, walls) = clouds.last().expect("level 0 always exists");
         let (bulk, outlying) = self.bulk(wide, *walls, edge, inside);
         let [bulk, outlying] = [bulk, outlying].map(|field| refined(&field, level, cells, *walls));
         // Compute drops in cells half as wide as wide cells. If wide cells are as wide as the
@@ -540,7 +540,7 @@ impl Distances {
         }
         let mut clouds = vec![(told(0, fine), self.walls.map(Mirrors::of))];
         for level in 1..=self.wide().0 {
-            let (finer, walls) = clouds.last().expect("there is one at level 0");
+            let (finer, walls) = clouds.last().expect("level 0 always exists");
             let to = CellBox { lo: finer.cells.lo >> 1, hi: (finer.cells.hi + 1) >> 1 };
             let wider = Dense::new(to, |cell| {
                 let tap = |away: IVec3| {
@@ -560,7 +560,7 @@ impl Distances {
     /// per cubed spacing. Also returns the level: wide cells are 2^level times as wide as cells.
     pub fn density(&self, particles: &[[f64; 3]]) -> (Dense<f64>, u32) {
         let (level, edge) = self.wide();
-        let (wide, walls) = self.real_clouds(particles).pop().expect("there is one at level 0");
+        let (wide, walls) = self.real_clouds(particles).pop().expect("level 0 always exists");
         let [narrowest, ..] = self.widths(edge);
         let smooth = really_blurred(&wide, &narrowest, walls);
         let values = smooth.values.iter().map(|particles| particles / edge.powi(3)).collect();
@@ -572,7 +572,7 @@ impl Distances {
         let (level, edge) = self.wide();
         let cells = self.cells(particles);
         let clouds = self.real_clouds(particles);
-        let (wide, walls) = clouds.last().expect("there is one at level 0");
+        let (wide, walls) = clouds.last().expect("level 0 always exists");
         let (bulk, near) = self.real_bulk(wide, *walls, edge);
         let [bulk, near] = [bulk, near].map(|field| really_refined(&field, level, cells, *walls));
 

@@ -1,6 +1,6 @@
 //! Code that all tests share: random scenes, particles, files, the program, settings, and the
 //! oracle.
-#![allow(dead_code, reason = "each test program uses its part")]
+#![allow(dead_code, reason = "each test program uses only some of these items")]
 
 pub mod alone;
 pub mod attributed;
@@ -62,7 +62,7 @@ pub struct Reconstructed {
 
 /// The field of a frame, which must have been computed by an indicator.
 pub fn dif(frame: &Engine) -> &SampledDif {
-    frame.dif().expect("an indicator makes the field")
+    frame.dif().expect("an indicator has sampled the frame")
 }
 
 /// A sampled frame with the given field, which has cells of edge 1 and no particles.

@@ -43,7 +43,7 @@ pub fn shell_command(folder: &Path, before: &str, arguments: &str) -> Command {
 #[track_caller]
 pub fn wait_until(child: &mut Child, what: &str, mut reached: impl FnMut(&Child) -> bool) {
     while !reached(child) {
-        assert!(child.try_wait().unwrap().is_none(), "the run ends before {what}");
+        assert!(child.try_wait().unwrap().is_none(), "the program exited before {what} appeared");
         sleep(Duration::from_millis(1));
     }
 }
@@ -53,5 +53,5 @@ pub fn wait_until(child: &mut Child, what: &str, mut reached: impl FnMut(&Child)
 pub fn kill_when(mut child: Child, what: &str, reached: impl FnMut(&Child) -> bool) {
     wait_until(&mut child, what, reached);
     child.kill().unwrap();
-    assert!(!child.wait().unwrap().success(), "the run ends at {what}, before it is killed");
+    assert!(!child.wait().unwrap().success(), "{what} appeared, but the program exited normally");
 }

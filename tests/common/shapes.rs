@@ -58,7 +58,7 @@ fn split(mesh: &Mesh) -> Mesh {
     edges.sort_unstable();
     edges.dedup();
     let first = mesh.positions.len() as u32;
-    let middle = |edge: [u32; 2]| first + edges.binary_search(&edge).expect("it is an edge") as u32;
+    let middle = |edge: [u32; 2]| first + edges.binary_search(&edge).expect("an edge") as u32;
     let mut positions = mesh.positions.clone();
     positions.extend(edges.iter().map(|&[a, b]| {
         let [a, b] = [a, b].map(|v| mesh.positions[v as usize]);

@@ -10,21 +10,21 @@ use meniscus::internals::surface::mesh::Mesh;
 pub fn defect(mesh: &Mesh) -> Option<String> {
     let count = mesh.positions.len();
     if let Some(at) = mesh.positions.iter().position(|p| !p.iter().all(|x| x.is_finite())) {
-        return Some(format!("vertex {at} is nowhere"));
+        return Some(format!("vertex {at} has a coordinate that is not finite"));
     }
-    // For each vertex and each edge from it, the third corner of the edge's triangle. Following
-    // these corners leads around the vertex.
+    // For each vertex, maps the next corner of each of its triangles to the corner after it.
+    // Following this map leads around the vertex, from triangle to triangle.
     let mut around: Vec<HashMap<u32, u32>> = vec![HashMap::new(); count];
     for (number, &[a, b, c]) in mesh.triangles.iter().enumerate() {
         if [a, b, c].iter().any(|&v| v as usize >= count) {
-            return Some(format!("triangle {number} names a vertex that is not there"));
+            return Some(format!("triangle {number} refers to a missing vertex"));
         }
         if a == b || b == c || c == a {
-            return Some(format!("triangle {number} has two corners alike"));
+            return Some(format!("triangle {number} has the same vertex twice"));
         }
         for [v, from, to] in [[a, b, c], [b, c, a], [c, a, b]] {
             if around[v as usize].insert(from, to).is_some() {
-                return Some(format!("two triangles go along the edge from {v} to {from}"));
+                return Some(format!("two triangles have the directed edge from {v} to {from}"));
             }
         }
     }
@@ -35,20 +35,18 @@ pub fn defect(mesh: &Mesh) -> Option<String> {
         let (mut at, mut steps) = (first, 0);
         loop {
             let Some(&to) = next.get(&at) else {
-                return Some(format!("an edge from {vertex} has one side only"));
+                return Some(format!("an edge of vertex {vertex} has a triangle on one side only"));
             };
             (at, steps) = (to, steps + 1);
             if at == first {
                 break;
             }
             if steps > next.len() {
-                return Some(format!("the triangles around vertex {vertex} do not go around it"));
+                return Some(format!("the triangles of vertex {vertex} do not form a closed fan"));
             }
         }
         if steps != next.len() {
-            return Some(format!(
-                "vertex {vertex} joins surfaces that have nothing else in common"
-            ));
+            return Some(format!("the triangles of vertex {vertex} form several separate fans"));
         }
     }
     None

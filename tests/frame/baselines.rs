@@ -45,7 +45,7 @@ fn rounded_to_offsets(particles: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     particles.into_iter().map(|p| p.map(|x| ((x * 8192.0).floor() + 0.5) / 8192.0)).collect()
 }
 
-/// Implements each method as METHOD.md and the method's authors define it: as a sum over all
+/// Implements each method as `src/method.md` and the method's authors define it: as a sum over all
 /// particles. The result is positive inside the fluid. Cells have edge 1.
 struct Oracle {
     particles: Vec<DVec3>,
@@ -170,7 +170,7 @@ fn kernel_meshes_equal_those_of_a_dense_oracle() {
             };
             let counted: Vec<_> = particles.iter().filter(inside).copied().collect();
             let (positions, triangles) = Oracle::new(&counted, spacing, method).mesh(walls);
-            assert!(triangles.len() > 1000, "{method:?}: the scene has a surface");
+            assert!(triangles.len() > 1000, "{method:?}: the scene must have a surface");
             let mesh = surface(&particles[..], &sampling, method);
             assert!(mesh.triangles == triangles, "{method:?}, {spacing}, walls: {walled}");
             assert_eq!(

@@ -310,7 +310,7 @@ fn without_an_interior_the_plateau_is_derived_from_the_spacing() {
             let of_pool = sample(&scaled(&pool, spacing), &sampling_at(spacing, indicator));
             let deep = recipe(&of_pool, &surfacing()).1.plateau;
             let Plateau::Interior { median, .. } = deep else {
-                panic!("a pool of {cell}: {deep:?}")
+                panic!("the pool in cells of {cell}: {deep:?}")
             };
             // Use the mu0 of the pool, because thinner bodies would have a different mu0.
             let sampling = sampling_at(spacing, of_pool.method());
@@ -318,7 +318,7 @@ fn without_an_interior_the_plateau_is_derived_from_the_spacing() {
                 let frame = sample(&scaled(body, spacing), &sampling);
                 let plateau = recipe(&frame, &surfacing()).1.plateau;
                 let Plateau::Shallow { expected } = plateau else {
-                    panic!("{name} in {cell}: {plateau:?}")
+                    panic!("{name} in cells of {cell}: {plateau:?}")
                 };
                 let ratio = f64::from(expected) / f64::from(median);
                 let within = if matches!(indicator, IndicatorKind::Cloud) { 0.02 } else { 0.1 };

@@ -154,7 +154,7 @@ fn a_flat_pool_is_simplified_across_block_seams() {
     // of the slab: 2384 vertices.
     let flat = |p: &&[f64; 3]| p[0].abs() < 66.0 && p[2].abs() < 66.0;
     let count = mesh.positions.iter().filter(flat).count();
-    assert!(count < 1000, "{count} vertices on flat ground");
+    assert!(count < 1000, "{count} vertices remain on the flat surface");
 }
 
 #[test]
@@ -243,7 +243,7 @@ fn smallest_drop_counts_particles_for_any_cell_size_and_keeps_bubbles() {
         for (particles, dropped) in [(1, 0), (2, 4), (3, 8), (8, 8), (20, 12)] {
             let reduction = Reduction { smallest_drop: Some(particles), ..Reduction::default() };
             let (mesh, gone) = simplified(&scaled, &sampling, &reduction);
-            assert_eq!(gone, dropped, "drops of fewer than {particles} in cells of 1 / {cells}");
+            assert_eq!(gone, dropped, "fewer than {particles} particles in cells of 1 / {cells}");
             // Two components always remain: the bulk, and the bubble in it.
             assert_eq!(measure(&mesh).components as u64, 2 + 12 - dropped);
             assert!(check(&mesh).is_closed_oriented_manifold());

@@ -28,6 +28,6 @@ pub fn target() -> Target {
 fn run(data: &[u8]) {
     let folder = folder::empty("c");
     let name = CString::new(folder.as_os_str().as_bytes()).unwrap();
-    // SAFETY: the name and the bytes exist as long as the call.
+    // SAFETY: the name and the bytes outlive the call.
     unsafe { meniscus_calls_of_bytes(name.as_ptr(), data.as_ptr(), data.len()) };
 }

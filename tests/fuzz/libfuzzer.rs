@@ -3,7 +3,7 @@
 #![allow(
     dead_code,
     clippy::unwrap_used,
-    reason = "modules of others are here whole, of which this uses a part"
+    reason = "this program uses only some items of the shared modules"
 )]
 
 mod c;
@@ -22,8 +22,8 @@ static RUN: OnceLock<fn(&[u8])> = OnceLock::new();
 fn chosen() -> fn(&[u8]) {
     targets::on_one_thread();
     let name = std::env::var("MENISCUS_FUZZ").unwrap_or_default();
-    // This target is only for libFuzzer: on stable Rust, the C interface's own test makes its
-    // calls.
+    // Only libFuzzer runs the target `c`. On stable Rust, the C interface's own test makes random
+    // calls instead.
     let mut all = targets::all();
     all.push(c::target());
     let names = || all.iter().map(|target| target.name).collect::<Vec<_>>().join("\n");

@@ -1,5 +1,5 @@
-//! Tests of Alembic archives: each array, its digest and its position in the tree are as in
-//! Alembic's own sources, and the file contains nothing else.
+//! Tests of Alembic archives: each array, its digest and its position in the tree match the format
+//! that Alembic's own sources define, and the file contains nothing else.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -24,9 +24,10 @@ struct Archive {
     metadata: String,
     /// For each time sampling, its time per cycle, its times, and its number of samples.
     samplings: Vec<(f64, Vec<f64>, u32)>,
-    /// The properties that have values, by their paths, such as `/fluid/fluidShape/.geom/P`.
+    /// Maps the path of each property, such as `/fluid/fluidShape/.geom/P`, to the values of the
+    /// property.
     values: BTreeMap<String, Values>,
-    /// The metadata of objects and compound properties, by their paths.
+    /// Maps the path of each object and each compound property to its metadata.
     groups: BTreeMap<String, String>,
 }
 
@@ -51,7 +52,7 @@ impl Values {
 struct Reader<'a> {
     bytes: &'a [u8],
     listed: Vec<String>,
-    /// The end of each block that was read, by its start.
+    /// Maps the start of each block that was read to the end of the block.
     seen: BTreeMap<usize, usize>,
     found: Archive,
 }
@@ -110,7 +111,9 @@ impl<'a> Reader<'a> {
 
     fn object(&mut self, path: &str, object: Child) {
         let group = self.group(object);
-        let [properties, children @ .., headers] = &group[..] else { panic!("{path} is short") };
+        let [properties, children @ .., headers] = &group[..] else {
+            panic!("the group of {path} is too short")
+        };
         let headers = self.data(*headers);
         self.compound(path, *properties);
         let mut headers = &headers[..headers.len() - 32];
@@ -125,7 +128,7 @@ impl<'a> Reader<'a> {
             self.found.groups.insert(child_path.clone(), metadata);
             self.object(&child_path, child);
         }
-        assert!(headers.is_empty(), "headers of {path}");
+        assert!(headers.is_empty(), "unread headers of {path}");
     }
 
     fn compound(&mut self, path: &str, compound: Child) {
@@ -137,7 +140,7 @@ impl<'a> Reader<'a> {
             let width = 1 << (bits >> 2 & 3);
             let is_compound = bits & 3 == 0;
             let count = if is_compound { 0 } else { number(&mut headers, width) };
-            assert_eq!(bits >> 9 & 1, 0, "no range of changes");
+            assert_eq!(bits >> 9 & 1, 0, "a range of changed samples");
             let sampling = if bits >> 8 & 1 == 1 { number(&mut headers, width) } else { 0 };
             let length = number(&mut headers, width);
             let path = format!("{path}/{}", text(&mut headers, length));
@@ -153,10 +156,10 @@ impl<'a> Reader<'a> {
             let children = self.group(property);
             let is_scalar = bits & 3 == 1;
             let blocks = if is_scalar { 1 } else { 2 };
-            assert_eq!(children.len(), blocks * count as usize, "samples of {path}");
-            assert_eq!(bits >> 11 & 1 == 1, count < 2, "{path} is constant");
+            assert_eq!(children.len(), blocks * count as usize, "number of samples of {path}");
+            assert_eq!(bits >> 11 & 1 == 1, count < 2, "constant flag of {path}");
             let samples = children.chunks(blocks).map(|children| {
-                assert!(children[1..].iter().all(|child| child.0 == 1 << 63), "dimensions");
+                assert!(children[1..].iter().all(|child| child.0 == 1 << 63), "with dimensions");
                 let Some((digest, values)) = self.data(children[0]).split_at_checked(16) else {
                     return Vec::new();
                 };
@@ -166,11 +169,11 @@ impl<'a> Reader<'a> {
             });
             let samples: Vec<_> = samples.collect();
             let is_homogeneous = samples.iter().all(|sample| sample.len() == samples[0].len());
-            assert_eq!(bits >> 10 & 1 == 1, is_homogeneous, "{path} is homogeneous");
+            assert_eq!(bits >> 10 & 1 == 1, is_homogeneous, "homogeneous flag of {path}");
             let values = Values { bits, metadata, sampling, samples };
             self.found.values.insert(path, values);
         }
-        assert!(headers.is_empty(), "headers of {path}");
+        assert!(headers.is_empty(), "unread headers of {path}");
     }
 }
 
@@ -544,7 +547,7 @@ fn a_simulation_archive_is_independent_of_threads_and_resume() {
             assert!(found.values[name].samples[sample] == values.samples[0], "{name}");
         }
     }
-    assert!(!at("each/wave.abc").exists(), "a pattern makes an archive");
+    assert!(!at("each/wave.abc").exists(), "a run with a pattern made an archive");
 
     run(simulation("later/wave.abc", 2).end(3));
     let refused = simulation("later/wave.abc", 2).run(|_| {}).unwrap_err();
@@ -552,7 +555,8 @@ fn a_simulation_archive_is_independent_of_threads_and_resume() {
     let summaries = run(simulation("later/wave.abc", 2).resume());
     assert_eq!(summaries[0].made, 2);
     assert!(bytes == fs::read(at("later/wave.abc")).unwrap());
-    // If an input has changed, a larger frame replaces its frame in the archive.
+    // If an input has changed, a new frame replaces the frame of this input in the archive. The
+    // space of the old frame remains unused, so that a new archive is smaller.
     fs::write(at("in/f_4.xyz"), fs::read(at("in/f_2.xyz")).unwrap()).unwrap();
     assert_eq!(run(simulation("later/wave.abc", 2).resume())[0].made, 1);
     let (changed, _) = read(&fs::read(at("later/wave.abc")).unwrap());

@@ -347,7 +347,8 @@ fn a_data_set_without_points_is_reported_if_it_has_a_name() {
     assert_eq!(along(&file), [7.0]);
     assert_eq!(attribute(&file, "Part type"), [0.0]);
     assert_eq!(file.left_out, [block("foam", "no points")]);
-    // A data set does not count as one without points if a condition removes all of its particles.
+    // If a condition removes all particles of a data set, the data set does not count as one
+    // without points.
     let listed = Listed::new(&[
         ("name='foam' file='foam.csv'", &table(&[[1, 2]])),
         ("name='fluid' file='fluid.csv'", &table(&[[7, 0]])),

@@ -13,7 +13,7 @@ use lzma_rust2::{XzOptions, XzWriter};
 use zip::write::SimpleFileOptions;
 use zip::{CompressionMethod, ZipWriter};
 
-/// Positions whose coordinates all differ, and which f32 represents exactly.
+/// Positions with coordinates that all differ, and that f32 represents exactly.
 pub fn tuples(count: usize) -> Vec<[f64; 3]> {
     (0..count).map(|i| [0, 1, 2].map(|axis| (3 * i + axis) as f64 * 0.375 - 2.0)).collect()
 }

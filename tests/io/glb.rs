@@ -240,10 +240,10 @@ impl MeshSource for Huge {
     }
 
     fn vertices(&self, _: usize) -> io::Result<Vertices<'_>> {
-        panic!("the writer reads vertices")
+        panic!("the writer must not read vertices")
     }
     fn triangles(&self, _: usize) -> io::Result<Vec<[u64; 3]>> {
-        panic!("the writer reads triangles")
+        panic!("the writer must not read triangles")
     }
 }
 
@@ -296,5 +296,5 @@ fn attributes_that_glb_cannot_store_are_reported() {
     assert_eq!(MeshFormat::Ply.not_stored(&infos), []);
     let (json, _) = written(&mesh, CoordinateWidth::F32, GlbLayout::PLAIN);
     let stored = json["meshes"][0]["primitives"][0]["attributes"].as_object().unwrap().len();
-    assert_eq!(stored, 1 + attributes.len() - left_out.len(), "with the positions");
+    assert_eq!(stored, 1 + attributes.len() - left_out.len(), "positions and attributes");
 }

@@ -69,7 +69,7 @@ fn root_data_sets_are_a_frame_even_if_chunked_and_compressed() {
 }
 
 fn open_where(name: &str, condition: &str) -> Result<ParticleFile, ReadError> {
-    let conditions = [condition.parse().expect("is a condition")];
+    let conditions = [condition.parse().expect("a valid condition")];
     let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
     open_wanted(&data(name), wanted, Unpacking::in_memory())
 }

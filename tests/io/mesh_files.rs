@@ -105,7 +105,7 @@ fn colours_are_written_as_bytes_or_as_fractions_by_format() {
     for mesh in [floats, mesh(of_kind), mesh(of_shorts)] {
         for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
             let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
-            let [colour] = &read.attributes[..] else { panic!("{format:?} has one attribute") };
+            let [colour] = &read.attributes[..] else { panic!("{format:?}: not one attribute") };
             assert_eq!((&colour.values, colour.kind), (&bytes, kind), "{format:?}");
             let name = if format == MeshFormat::Ply { "color" } else { "Cd" };
             assert_eq!(colour.name, name, "{format:?}");

@@ -1,5 +1,5 @@
-//! Tests that a mesh gives the same file in any pieces as in one piece, and that no file remains if
-//! a piece cannot be read.
+//! Tests that the division of a mesh into pieces does not change its file, and that no file remains
+//! if a piece cannot be read.
 
 use std::borrow::Cow;
 use std::fs;
@@ -35,7 +35,7 @@ struct Cut {
 }
 
 impl Cut {
-    /// Divides a mesh into pieces. `vertices` and `triangles` have the number of vertices and of
+    /// Divides a mesh into pieces. `vertices` and `triangles` are the numbers of vertices and of
     /// triangles in each piece except the last, which contains the rest of the mesh.
     fn new(mesh: &Mesh, vertices: &[usize], triangles: &[usize]) -> Self {
         let ranges = |sizes: &[usize], all: usize| -> Vec<Range<usize>> {

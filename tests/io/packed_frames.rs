@@ -90,7 +90,7 @@ impl Folder {
 fn dif(path: &Path, cache_bytes: u64) -> SampledDif {
     match open_frame(path, cache_bytes, None).unwrap() {
         PackedFrame::Dif(sampled) => sampled,
-        PackedFrame::Octaves(_) => panic!("particles of several sizes"),
+        PackedFrame::Octaves(_) => panic!("expected particles of one size"),
     }
 }
 
@@ -207,8 +207,8 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
         (faces + 8, 9.5_f64.to_le_bytes().into(), "invalid periodic box"),
         (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
         (faces + 32, 2.5_f64.to_le_bytes().into(), "which is twice the reach"),
-        (faces + 48, u32::MAX.to_le_bytes().into(), "no periodic box"),
-        (faces + 52, 1_u32.to_le_bytes().into(), "no periodic box"),
+        (faces + 48, u32::MAX.to_le_bytes().into(), "the periodic box is invalid"),
+        (faces + 52, 1_u32.to_le_bytes().into(), "the periodic box is invalid"),
         (footer + 32, 1_u32.to_le_bytes().into(), "cannot be that of"),
     ];
     for (at, patch, expected) in cases {
@@ -373,7 +373,7 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
     let good = small_sizes(&folder);
     assert_eq!(good[8..12], 3_u32.to_le_bytes());
     let found = open_frame(&folder.file(&good), 0, None).unwrap();
-    let PackedFrame::Octaves(octaves) = &found else { panic!("particles of one size") };
+    let PackedFrame::Octaves(octaves) = &found else { panic!("expected several sizes") };
     assert_eq!((octaves.facts.spacing, octaves.coarsest), (Some(1.0), 3.0));
     assert_eq!((octaves.clouds.octaves(), found.samples().fields().len()), (3, 6));
     assert!(found.samples().fields().iter().filter(|(_, field)| field.bricks() > 0).count() >= 2);
@@ -388,16 +388,16 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
     let cases: Vec<(usize, Vec<u8>, &str)> = vec![
         (8, 2_u32.to_le_bytes().into(), "the flags of another version"),
         (footer + 36, 0_u32.to_le_bytes().into(), "another indicator"),
-        (footer + 96, 0_f64.to_le_bytes().into(), "no sizes"),
-        (sizes, 0_f64.to_le_bytes().into(), "no sizes"),
-        (sizes, f64::NAN.to_le_bytes().into(), "no sizes"),
+        (footer + 96, 0_f64.to_le_bytes().into(), "the sizes of the particles are invalid"),
+        (sizes, 0_f64.to_le_bytes().into(), "the sizes of the particles are invalid"),
+        (sizes, f64::NAN.to_le_bytes().into(), "the sizes of the particles are invalid"),
         (sizes, 1e308_f64.to_le_bytes().into(), ""),
         (footer + 24, 1e308_f64.to_le_bytes().into(), "no cell centre"),
         (sizes, 1_f64.to_le_bytes().into(), "of 2"),
-        (sizes + 8, (-1_f64).to_le_bytes().into(), "no density"),
-        (sizes + 8, 1e-9_f64.to_le_bytes().into(), "no density"),
-        (sizes + 8, 1e9_f64.to_le_bytes().into(), "no density"),
-        (sizes + 8, f64::NAN.to_le_bytes().into(), "no density"),
+        (sizes + 8, (-1_f64).to_le_bytes().into(), "the density of the particles is invalid"),
+        (sizes + 8, 1e-9_f64.to_le_bytes().into(), "the density of the particles is invalid"),
+        (sizes + 8, 1e9_f64.to_le_bytes().into(), "the density of the particles is invalid"),
+        (sizes + 8, f64::NAN.to_le_bytes().into(), "the density of the particles is invalid"),
         (index + 42, 6_u16.to_le_bytes().into(), "field 6 of 6"),
         (index + 42, 3_u16.to_le_bytes().into(), "not in order"),
     ];

@@ -176,7 +176,7 @@ fn splishsplash_frames_match_the_values_of_their_simulation() {
         assert!((speeds.fold(0.0, f64::max) - fastest).abs() < 1e-6, "frame {number}");
         let mut ids = attribute(&file, "id");
         ids.sort_by(f32::total_cmp);
-        assert!(ids.iter().enumerate().all(|(i, &id)| i as f32 == id), "ids are a permutation");
+        assert!(ids.iter().enumerate().all(|(i, &id)| i as f32 == id), "each id must occur once");
     }
 }
 
@@ -468,7 +468,8 @@ fn legacy_and_xml_vtk_files_take_the_time_from_the_same_fields() {
         (&[("t", "0.25")], Some(0.25)),
         (&[("mass", "2")], None),
         (&[("time", "1 2")], None),
-        // The preferred name decides, in whichever order the fields are.
+        // The order of the fields does not matter: the reader takes the field with the preferred
+        // name.
         (&[("time", "1"), ("TimeValue", "0.5")], Some(0.5)),
         (&[("TimeValue", "0.5"), ("time", "1")], Some(0.5)),
         (&[("TIME", "3"), ("Time", "2"), ("t", "1")], Some(2.0)),
@@ -482,7 +483,7 @@ fn legacy_and_xml_vtk_files_take_the_time_from_the_same_fields() {
     let announced = xml(&[("time", "1 2")]);
     let not = announced.replace(" NumberOfTuples=\"2\"", "");
     assert_ne!(not, announced);
-    assert_eq!(read(VTU, not.as_bytes()).unwrap().time, None, "two numbers");
+    assert_eq!(read(VTU, not.as_bytes()).unwrap().time, None, "two numbers are not a time");
 }
 
 #[test]
@@ -840,7 +841,7 @@ fn counts_beyond_the_file_size_are_refused_without_allocating() {
     assert_eq!(
         cases.len(),
         2 + 3 * 2 + 2 * 3,
-        "two counts, six shapes and three arrays of two widths"
+        "two counts of .bgeo, six shapes of .npy, and three arrays of .bi4 in two widths"
     );
     for (reader, bytes) in cases {
         let (result, largest) = memory::largest_allocation(|| reader(bytes.into()));
@@ -1363,7 +1364,7 @@ fn the_bytes_of_an_xyz_decide_whether_it_is_text_or_raw() {
         assert_eq!((table.format, positions(&table)), ("text table", vec![[1.0, 2.0, 3.0]]));
     }
     let wide = tuples(8).into_iter().flatten().flat_map(|x| (x + 0.1).to_le_bytes());
-    let fault = read(XYZ, &wide.collect::<Vec<_>>()).expect_err("of f64");
+    let fault = read(XYZ, &wide.collect::<Vec<_>>()).expect_err("the file contains f64");
     assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
 }
 

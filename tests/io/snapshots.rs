@@ -41,7 +41,7 @@ fn open(name: &str) -> Result<ParticleFile, ReadError> {
 }
 
 fn open_type<'a>(path: &Path, name: impl Into<Option<&'a str>>) -> Result<ParticleFile, ReadError> {
-    let condition = |name| format!("type={name}").parse().expect("is a condition");
+    let condition = |name| format!("type={name}").parse().expect("a valid condition");
     let conditions: Vec<Where> = name.into().map(condition).into_iter().collect();
     let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
     open_wanted(path, wanted, Unpacking::in_memory())

@@ -341,7 +341,8 @@ fn a_line_of_names_that_does_not_fit_the_rows_is_refused() {
         ("% density, velocity, position", 1),
         ("density velocity(3) position(3)", 1),
         ("velocity position", 1),
-        // The names are understood, so the first row is refused.
+        // The reader understands these seven names, so it refuses the first row, which has eight
+        // columns.
         ("density[1] vx[2] vy[3] vz[4] x[5] y[6] z[7]", 2),
         ("# density[1] vx[2] vy[3] vz[4] x[6] y[7] z[8]", 1),
         ("; rho vel pos", 1),

@@ -1,5 +1,5 @@
-//! Tests of .vdb files: a separate reader decodes each voxel, tile and value as in OpenVDB's
-//! sources, and the tests compare the values with exact distances.
+//! Tests of .vdb files: a separate reader decodes each voxel, tile and value as OpenVDB's sources
+//! do, and the tests compare the values with exact distances.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -20,7 +20,7 @@ use crate::common::shapes::{cuboid, moved, sphere, union};
 
 type Index = [i32; 3];
 
-/// A .vdb file, of which every byte must be read.
+/// The content of a .vdb file. The reader must have read every byte of the file.
 struct Archive {
     grids: Vec<Grid>,
 }
@@ -43,7 +43,7 @@ struct Leaf {
     values: Vec<Vec<f64>>,
 }
 
-/// The masks and values of a node, which precede its children.
+/// The masks and values of a node, which precede the node's children in the file.
 struct Node {
     has_child: Vec<bool>,
     tiles: Vec<Vec<f64>>,
@@ -101,8 +101,8 @@ impl Reader<'_> {
     fn archive(mut self) -> Archive {
         assert_eq!(self.take(8), b" BDV\0\0\0\0");
         assert_eq!(self.u32(), 224);
-        assert!(self.u32() >= 6 && self.u32() < 100, "the library's version");
-        assert_eq!(self.array(), [1], "without offsets");
+        assert!(self.u32() >= 6 && self.u32() < 100, "the version of OpenVDB");
+        assert_eq!(self.array(), [1], "the file must have grid offsets");
         let id = String::from_utf8(self.take(36).to_vec()).unwrap();
         let is_dash = |i| [8, 13, 18, 23].contains(&i);
         assert!(
@@ -119,7 +119,7 @@ impl Reader<'_> {
 
     fn grid(&mut self) -> Grid {
         let (name, tree) = (self.text(), self.text());
-        assert_eq!(self.text(), "", "an instance");
+        assert_eq!(self.text(), "", "the grid is an instance");
         let [begin, blocks, end] = [(); 3].map(|()| self.i64() as usize);
         assert_eq!(self.at, begin);
         let flags = self.u32();
@@ -131,7 +131,7 @@ impl Reader<'_> {
             (name, (kind, self.take(length).to_vec()))
         });
         let metadata: BTreeMap<_, _> = metadata.collect();
-        assert_eq!(metadata.len(), count, "equal names of metadata");
+        assert_eq!(metadata.len(), count, "two metadata entries have the same name");
         assert_eq!(self.text(), "UniformScaleTranslateMap");
         let origin = self.vector();
         let [size, edges, inverse, squares, halves] = [(); 5].map(|()| self.vector());
@@ -148,10 +148,10 @@ impl Reader<'_> {
             "vec3s" => (3, 4, false),
             "int32" => (1, 4, true),
             "int64" => (1, 8, true),
-            other => panic!("a tree of {other}"),
+            other => panic!("unexpected tree of {other}"),
         };
         let values = Values { components, bytes, whole, half, zip: flags & 1 == 1 };
-        assert_eq!(self.u32(), 1, "buffers of a leaf");
+        assert_eq!(self.u32(), 1, "number of buffers of a leaf");
         let background = values.read(self.take(components * bytes), false);
         let mut grid = Grid {
             name,
@@ -167,7 +167,7 @@ impl Reader<'_> {
         for _ in 0..tiles {
             let corner = self.index();
             let value = values.read(self.take(components * bytes), false).remove(0);
-            assert_eq!(self.array(), [0], "an active tile");
+            assert_eq!(self.array(), [0], "a tile is active");
             grid.tiles.insert((4096, corner), value);
         }
         let mut leaves = Vec::new();
@@ -199,7 +199,7 @@ impl Reader<'_> {
         let count = slots.pow(3) as usize;
         let has_child = self.mask(count);
         assert!(has_child.contains(&true), "a node without children at {corner:?}");
-        assert!(!self.mask(count).contains(&true), "an active tile");
+        assert!(!self.mask(count).contains(&true), "a tile is active");
         let tiles = self.values(values, &grid.background, &vec![false; count]);
         let node = Node { has_child, tiles };
         let child_edge = edge / slots;
@@ -256,7 +256,7 @@ impl Reader<'_> {
         let packed = self.take(zipped as usize);
         flate2::read::ZlibDecoder::new(packed).read_to_end(&mut plain).unwrap();
         assert_eq!(plain.len(), length);
-        assert!(packed.len() < length, "longer than without compression");
+        assert!(packed.len() < length, "compression must make values shorter");
         values.read(&plain, values.half)
     }
 }
@@ -311,7 +311,7 @@ impl Grid {
     }
 }
 
-/// A mesh whose source also knows the lattice of its samples.
+/// A mesh whose source also provides the lattice of its samples.
 struct OnLattice {
     mesh: Mesh,
     lattice: Option<Lattice>,
@@ -629,7 +629,7 @@ fn only_unusual_names_of_grids_are_reported() {
         _ => AttributeInfo::new(name, components),
     });
     let [[from, to]] = &MeshFormat::Vdb { zip: false }.renamed(&infos, false)[..] else {
-        panic!("one attribute is renamed");
+        panic!("expected one renamed attribute");
     };
     assert_eq!(from, "surface");
     assert_ne!(to, "surface");

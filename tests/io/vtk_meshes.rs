@@ -21,7 +21,7 @@ fn open(path: &Path) -> Result<ParticleFile, ReadError> {
 /// The number of faces in the error that refuses a file because it is a mesh.
 #[track_caller]
 fn faces(path: &Path) -> u64 {
-    let error = open(path).expect_err("is a mesh");
+    let error = open(path).expect_err("the file contains a mesh");
     let ReadFault::Mesh { faces } = error.fault else { panic!("{error}") };
     faces
 }

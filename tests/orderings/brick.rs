@@ -35,7 +35,7 @@ fn slots_have_all_values_after_the_threads_are_joined() {
         let slots = Arc::try_unwrap(slots).ok().expect("all threads are joined");
         let (mut records, attributes) = slots.into_parts();
         let of_each: Vec<f32> = records.iter().flat_map(|&record| [record as f32, 0.5]).collect();
-        assert_eq!(attributes, [of_each], "attributes are with their records");
+        assert_eq!(attributes, [of_each], "each record has its attributes");
         records.sort_unstable();
         assert_eq!(records, [1, 2, 3, 4]);
     });

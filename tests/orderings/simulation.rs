@@ -29,7 +29,7 @@ fn try_gate(lanes: usize, alone: &'static [bool]) {
             thread::spawn(move || {
                 let permit = if alone { gate.enter_alone() } else { gate.enter() };
                 let others = inside.fetch_add(1, Ordering::SeqCst);
-                assert!(others < if alone { 1 } else { lanes }, "{others} others are inside");
+                assert!(others < if alone { 1 } else { lanes }, "{others} other frames are inside");
                 inside.fetch_sub(1, Ordering::SeqCst);
                 drop(permit);
             })

@@ -816,7 +816,7 @@ fn the_first_command_of_the_readme_makes_a_watertight_mesh() {
     let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let run = meniscus(folder.path(), &arguments);
     assert!(run.status.success(), "{line}: {}", String::from_utf8_lossy(&run.stderr));
-    let [mesh] = &names(folder.path())[..] else { panic!("one mesh") };
+    let [mesh] = &names(folder.path())[..] else { panic!("expected one mesh") };
     let report = check(&read_mesh(&folder.path().join(mesh)).unwrap());
     assert!(report.is_closed_oriented_manifold(), "{report}");
 }

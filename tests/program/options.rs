@@ -95,11 +95,11 @@ impl Run {
     /// Checks the result of a run. `before` lists the files that were in the folder before the run.
     fn check_result(&self, folder: &Path, before: &[String]) {
         self.ensure([0, 2, 3].contains(&self.code), "an unexpected exit code");
-        self.ensure(!self.errors.contains("panicked"), "a panic");
+        self.ensure(!self.errors.contains("panicked"), "the program panicked");
         let files: Vec<String> = tree(folder).into_keys().collect();
         let new: Vec<&String> = files.iter().filter(|file| !before.contains(file)).collect();
         if self.code != 0 {
-            self.ensure(new.is_empty(), &format!("{new:?} left behind"));
+            self.ensure(new.is_empty(), &format!("the files {new:?} remain"));
             self.ensure(!self.errors.trim().is_empty(), "no error message");
             return;
         }
@@ -112,7 +112,7 @@ impl Run {
         let own = |file: &&&String| file.starts_with(stem) || file.as_str() == "s.json";
         self.ensure(
             new.iter().filter(own).count() == new.len(),
-            &format!("unexpected files in {new:?}"),
+            &format!("unexpected new files in {new:?}"),
         );
         if MeshFormat::of(&mesh).unwrap().is_read() {
             let report = check(&read_mesh(&mesh).unwrap());
@@ -169,9 +169,9 @@ fn try_combination(seed: u64) {
         let again = Run::of(folder.path(), output, &[&arguments[..], &more].concat());
         // With less memory, the run may also fail.
         if again.code == 0 {
-            again.ensure(fs::read(&mesh).unwrap() == bytes, "the bytes differ");
+            again.ensure(fs::read(&mesh).unwrap() == bytes, "the meshes differ");
         } else {
-            again.ensure(option == "--memory" && again.code == 2, "a failure");
+            again.ensure(option == "--memory" && again.code == 2, "the repeated run failed");
         }
     }
 }

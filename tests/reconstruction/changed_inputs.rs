@@ -32,7 +32,7 @@ fn error_after(change: impl FnOnce(&Path)) -> Error {
     let path = written(&folder);
     let opened = Reconstruction::new().spacing(0.5).open(&path).unwrap();
     change(&path);
-    let error = opened.sample().expect_err("a frame whose input has changed");
+    let error = opened.sample().expect_err("the input has changed");
     assert!(error.to_string().starts_with(&format!("{}: ", path.display())), "{error}");
     assert_eq!(error.cause(), Cause::Input, "{error}");
     error

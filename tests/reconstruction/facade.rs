@@ -250,8 +250,8 @@ fn threads_can_make_surfaces_of_one_sampled_frame_at_the_same_time() {
     let request = Reconstruction::new().spacing(1.0).threads(2);
     let alone = bytes_of(&request.sample(&water).unwrap().surface().unwrap());
     for _ in 0..20 {
-        // Use a new frame in each round, whose levels are not computed yet. All threads share its
-        // thread pool.
+        // Use a new frame in each round, because its levels are not computed yet. All threads share
+        // the thread pool of the frame.
         let frame = Arc::new(request.sample(&water).unwrap());
         let (done, results) = std::sync::mpsc::channel();
         for _ in 0..3 {
@@ -259,7 +259,8 @@ fn threads_can_make_surfaces_of_one_sampled_frame_at_the_same_time() {
             std::thread::spawn(move || done.send(bytes_of(&frame.surface().unwrap())));
         }
         for _ in 0..3 {
-            let surface = results.recv_timeout(Duration::from_secs(60)).expect("no thread waits");
+            let surface =
+                results.recv_timeout(Duration::from_secs(60)).expect("no thread is blocked");
             assert!(surface == alone);
         }
     }
@@ -505,7 +506,7 @@ fn particles_are_counted_during_the_spacing_estimate_without_another_pass() {
         let report = by_estimate.report();
         let Some((spacing, SpacingSource::Estimated)) = report.cells.as_ref().unwrap().spacing
         else {
-            panic!("the spacing is not estimated");
+            panic!("the report has no estimated spacing");
         };
         let (by_spacing, fewest) = read(&request.spacing(spacing));
         assert_eq!(passes, fewest);

@@ -86,7 +86,7 @@ fn wide_attributes_have_the_values_of_narrow_ones_at_little_more_memory() {
         .with::<1000>("wider", |_, _| [1.0; 1000]);
     let carrying = |carried| Sampling { carried, ..sampling() };
     let (_, surface) = reconstruct(&particles, &carrying(vec![0, 1]), &surfacing());
-    let [narrow, wide] = &surface.mesh.attributes[..] else { panic!("two attributes") };
+    let [narrow, wide] = &surface.mesh.attributes[..] else { panic!("expected two attributes") };
     for (of_narrow, of_wide) in narrow.values.chunks(3).zip(wide.values.chunks(WIDE)) {
         assert!(of_wide.iter().enumerate().all(|(i, value)| *value == of_narrow[i % 3]));
     }
@@ -125,7 +125,7 @@ fn spray_is_stored_sparsely_within_the_estimated_memory() {
             .into_iter()
             .flat_map(|i| [BrickSide::Eight, BrickSide::Sixteen].map(|side| (i, side)))
         {
-            // The spacing, in cells, for which a cell contains two particles.
+            // The spacing, in cells, at which the average cell contains two particles.
             let spacing_cells = 2_f64.cbrt().recip();
             let rule = PageRule { indicator, spacing_cells, side, walls: None };
             let plan = BinPlan::count(
@@ -469,7 +469,7 @@ fn a_frame_too_large_for_any_memory_is_refused_before_the_work() {
     let resources = Resources::new(MemoryBudget(1 << 20), scratch.path().to_owned());
     let sampling = Sampling { resources, carried: vec![0], ..sampling() };
     let fault =
-        Engine::sample(&particles, &sampling, &mut Timings::default()).expect_err("no room");
+        Engine::sample(&particles, &sampling, &mut Timings::default()).expect_err("too wide");
     let FrameError::WideAttributes { components, needed, budget } = fault else {
         panic!("{fault}")
     };

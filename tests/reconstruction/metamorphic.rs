@@ -18,8 +18,8 @@ const FRAMES: u64 = 4;
 
 /// Edge of a cell, in spacings. All lengths have few binary digits, so that they are exact.
 const CELL: f64 = 0.5;
-/// Number of coordinate steps per spacing. Particles are at half steps, so that none is on a cell
-/// face.
+/// Number of coordinate steps per spacing. Particles are at half steps, so that no particle lies on
+/// a cell face.
 const STEPS: f64 = 64.0;
 /// Maximum distance between corresponding vertices, in spacings. It is nonzero because positions
 /// are rounded.

@@ -132,7 +132,7 @@ fn a_changed_piece_is_an_error_whether_its_file_is_open_or_closed() {
             assert!(is_changed(&sample_after(changed..changed + 1, change).unwrap_err()));
         }
     }
-    // Not all of these pieces can still be open, so some are opened again.
+    // The library cannot keep all of these pieces open, so it opens some of them again.
     let many = 0..MAX_OPEN_FILES;
     // Replace a piece with another file that has the same name, size and time.
     let replaced = |path: &Path| {

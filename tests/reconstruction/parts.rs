@@ -252,7 +252,7 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     run(folder, &with(&["--plan", "--resume", "--normals"]), 0);
     assert!(run(folder, &with(&["--merge", "--normals"]), 3).contains("with a different plan"));
     run(folder, &with(&["--plan", "--overwrite"]), 0);
-    assert_eq!(fs::read(&plan).unwrap(), kept, "the same plan has the same bytes");
+    assert_eq!(fs::read(&plan).unwrap(), kept, "the same settings must give the same plan");
 
     // Use another file with the same size and time.
     let twin = folder.join("twin.bgeo");

@@ -13,7 +13,7 @@ use crate::common::files::raw;
 use crate::common::scene::Random;
 use crate::common::shuffle;
 
-/// A long pool along x, whose particles are sorted by x, as a simulation may sort them.
+/// A pool that is long along x. The particles are sorted by x, as a simulation may sort them.
 ///
 /// Blocks at the sides of the pool have almost no surface. These blocks come first along the Morton
 /// curve, and belong to the first part. The last part is at the end of the pool.
@@ -78,7 +78,7 @@ fn change_silently(path: &Path, change: impl FnOnce(&mut [u8])) {
     File::options().write(true).open(path).unwrap().set_modified(modified).unwrap();
 }
 
-/// Makes a part again. Returns its bytes, and the number of particles that it read.
+/// Makes a part again. Returns the bytes of the part, and the number of particles that were read.
 fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
     let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
     let made = parts.part(part).unwrap();
@@ -89,7 +89,7 @@ fn made(parts: &Parts, part: u32) -> (Vec<u8>, usize) {
 #[track_caller]
 fn assert_refused(parts: &Parts, part: u32) {
     let _ = fs::remove_file(parts.folder().join(format!("part_{part}")));
-    let error = parts.part(part).expect_err("a part of changed particles");
+    let error = parts.part(part).expect_err("the particles of the part have changed");
     assert!(matches!(error, Error::Parts(PartsError::Changed { .. })), "{error}");
 }
 

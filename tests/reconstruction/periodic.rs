@@ -35,8 +35,9 @@ const METHODS: [KernelMethod; 3] = [
 ];
 
 /// Particles with an attribute "direction", which depends on a particle's position in `first`.
-/// Further particles repeat the directions of `first`. Every direction has a component of 1, so
-/// that any selection of particles is rounded in the same way.
+/// Further particles repeat the directions of `first`. Every direction has a component of 1, which
+/// is also the greatest magnitude. Therefore, the library rounds the attribute in the same way in
+/// every block that contains particles.
 fn with_directions(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
     let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
     Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))
@@ -203,7 +204,7 @@ fn a_drop_across_a_periodic_corner_is_cut_into_eight_pieces() {
         measure(mesh)
     });
     assert_eq!((whole.components, found.components), (1, 8));
-    assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "the pieces end on the faces");
+    assert_eq!(found.bounds, Some([[0.0; 3], [edge; 3]]), "the pieces must end on the faces");
     let share = found.volume.unwrap() / whole.volume.unwrap();
     assert!((0.97..1.001).contains(&share), "{share} of the drop");
 }
@@ -232,13 +233,13 @@ fn periodic_images_are_not_counted_as_particles() {
         let lost = frame.lost(&surface).unwrap();
         assert!(
             (25..=45).contains(&lost),
-            "{periodic_mesh:?}: {lost} particles lost, of 30 and the spray"
+            "{periodic_mesh:?}: {lost} particles are lost, not about 30 plus some of the spray"
         );
         assert_eq!(frame.shortfall(&surface).unwrap(), None, "{periodic_mesh:?}");
         // Choose an isovalue that almost no sample exceeds.
         let high = Surfacing { iso: Some(Isovalue::new(0.95).unwrap()), ..usual };
         let surface = frame.surface(&high, timings).unwrap();
-        shares.push(frame.shortfall(&surface).unwrap().expect("almost nothing remains"));
+        shares.push(frame.shortfall(&surface).unwrap().expect("the surface lacks volume"));
     }
     assert_eq!(shares[0].particles, particles.len());
     assert!((shares[0].share / shares[1].share - 1.0).abs() < 0.05, "{shares:?}");
@@ -251,13 +252,14 @@ fn settings_that_need_more_periodic_images_than_sampled_are_refused() {
     let request = Reconstruction::new().spacing(1.0).periodic(faces);
     let frame = request.sample(&fluid(15, edges)[..]).unwrap();
     let surface = |request: &Reconstruction| frame.surface_by(request);
-    assert!(surface(&request.clone().smooth(1.0)).is_ok(), "narrower filters need fewer images");
+    // Narrower filters need fewer images.
+    assert!(surface(&request.clone().smooth(1.0)).is_ok());
     let error = surface(&request.smooth(2.5)).unwrap_err();
     assert_eq!(error.cause(), meniscus::Cause::Request);
     let Error::Frame { fault: FrameError::FewImages { needed, there }, .. } = error else {
         panic!("{error}")
     };
-    assert!(needed > there, "{needed} cells are needed, {there} exist");
+    assert!(needed > there, "{needed} cells of images are needed, {there} exist");
 }
 
 /// A pool with spacing 1 in a box from 0 to 24 along x and z, and its file `pool.xyz`.

@@ -1,7 +1,7 @@
 //! Tests random particles, options and walls. The surface must be closed, oriented and manifold,
-//! and within its bounds. It must be the same for all numbers of threads, particle orders, budgets,
-//! brick sizes and devices, and after packing. If a frame gives an error instead, the error must
-//! always be the same.
+//! and must lie within the walls and near the particles. The surface must be the same for all
+//! numbers of threads, particle orders, budgets, brick sizes and devices, and after packing. If a
+//! frame gives an error instead, the error must always be the same.
 //!
 //! `MENISCUS_FRAMES=100000` tries 100000 frames, and `MENISCUS_FRAME=77` repeats number 77.
 
@@ -25,13 +25,14 @@ use crate::common::{device, shuffle, watertight};
 
 /// Default number of frames to try.
 const FRAMES: u64 = 400;
-/// More than one in this number of frames must have a surface.
+/// More than 1 / `SURFACE_RATIO` of the frames must have a surface.
 const SURFACE_RATIO: u64 = 2;
 
 /// Particles with a velocity, and with an attribute that is NaN for some particles.
 struct Water {
     positions: Vec<[f64; 3]>,
-    /// Numbers that determine the particles' attributes, so that these do not depend on the order.
+    /// Numbers that determine the particles' attributes. Because of these numbers, the attributes
+    /// do not depend on the order of the particles.
     numbers: Vec<u32>,
     attributes: Vec<AttributeInfo>,
 }
@@ -274,7 +275,7 @@ impl Frame {
         }
     }
 
-    /// Describes a defect of a mesh, if it has one.
+    /// Describes a defect of a mesh. Returns `None` for a mesh without defects.
     fn defect(&self, surface: &Surface, mesh: &Mesh) -> Option<String> {
         if mesh.triangles.is_empty() {
             return None;
@@ -291,7 +292,7 @@ impl Frame {
             .sum();
         // Because of rounding, the volume may be slightly negative.
         if volume.is_nan() || volume < -1e-6 * self.spacing.powi(3) {
-            wrong = wrong.or(Some(format!("it encloses {volume}")));
+            wrong = wrong.or(Some(format!("six times its volume is {volume}")));
         }
         let unit = |n: &[f32; 3]| (DVec3::from(n.map(f64::from)).length() - 1.0).abs() < 1e-3;
         if mesh.normals.as_ref().is_some_and(|normals| {
@@ -306,8 +307,7 @@ impl Frame {
             if attribute.values.len() != attribute.components * mesh.positions.len()
                 || !attribute.values.iter().all(fits)
             {
-                wrong =
-                    wrong.or(Some(format!("{} is beyond that of any particle", attribute.name)));
+                wrong = wrong.or(Some(format!("{} has wrong or missing values", attribute.name)));
             }
         }
         let cell = facts.grid.cell_size();
@@ -317,7 +317,7 @@ impl Frame {
                 let p = DVec3::from(p);
                 p.cmplt(lo - slack).any() || p.cmpgt(hi + slack).any()
             });
-            outside.map(|p| format!("{p:?} is beyond {what}"))
+            outside.map(|p| format!("vertex {p:?} is outside {what}"))
         };
         if let Some(walls) = self.walls {
             wrong = wrong.or_else(|| within(walls, "the walls"));
@@ -328,15 +328,15 @@ impl Frame {
         let reach = 12.0 * facts.spacing.unwrap_or(self.spacing) + 40.0 * cell;
         if self.faces.iter().all(Option::is_none) {
             wrong = wrong.or_else(|| {
-                within([bounds[0] - reach, bounds[1] + reach], "the reach of its particles")
+                within([bounds[0] - reach, bounds[1] + reach], "the reach of the particles")
             });
         }
         wrong
     }
 }
 
-/// The mesh or the error message of a frame. Every reconstruction of a frame must give the same
-/// one.
+/// Returns the mesh or the error message of a frame. All reconstructions of a frame must have the
+/// same outcome.
 fn outcome(surface: Result<Surface, Error>) -> Result<Mesh, String> {
     surface.map(|surface| surface.to_mesh().unwrap()).map_err(|error| error.to_string())
 }
@@ -518,12 +518,12 @@ fn the_watertight_check_rejects_every_kind_of_defect() {
     };
     assert!(
         defect_after(|mesh| mesh.triangles.truncate(mesh.triangles.len() - 1))
-            .contains("one side only")
+            .contains("on one side only")
     );
-    assert!(defect_after(|mesh| mesh.triangles[0].swap(0, 1)).contains("two triangles go along"));
+    assert!(defect_after(|mesh| mesh.triangles[0].swap(0, 1)).contains("directed edge"));
     assert!(defect_after(|mesh| mesh.positions.push([0.0; 3])).contains("no triangle uses"));
-    assert!(defect_after(|mesh| mesh.positions[3][1] = f64::NAN).contains("nowhere"));
-    assert!(defect_after(|mesh| mesh.triangles[5] = [7, 7, 8]).contains("two corners alike"));
+    assert!(defect_after(|mesh| mesh.positions[3][1] = f64::NAN).contains("not finite"));
+    assert!(defect_after(|mesh| mesh.triangles[5] = [7, 7, 8]).contains("same vertex twice"));
     // Make two balls that share exactly one vertex.
     let joined = defect_after(|mesh| {
         let last = mesh.positions.len() as u32 - 1;
@@ -532,5 +532,5 @@ fn the_watertight_check_rejects_every_kind_of_defect() {
         mesh.triangles.extend(other);
         mesh.positions.extend_from_within(1..);
     });
-    assert!(joined.contains("joins surfaces"), "{joined}");
+    assert!(joined.contains("separate fans"), "{joined}");
 }

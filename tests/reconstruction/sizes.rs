@@ -353,7 +353,7 @@ fn particles_of_one_size_give_the_same_mesh_as_without_sizes() {
     let given = other.mesh(&spacing);
     assert!(
         given == spacing.run(&water.positions).unwrap().to_mesh().unwrap(),
-        "a given spacing ignores sizes"
+        "with a given spacing, sizes must have no effect"
     );
 }
 
@@ -430,8 +430,8 @@ fn a_packed_frame_of_sizes_has_the_surface_of_its_particles() {
         if what == "open" {
             let smooth = request.clone().smooth(1.2);
             let found = again(little.smooth(1.2));
-            assert!(found == meshed(&smooth), "another smoothing");
-            assert!(found != expected, "the smoothing has an effect");
+            assert!(found == meshed(&smooth), "the surfaces differ");
+            assert!(found != expected, "the smoothing must have an effect");
         }
     }
 }
@@ -671,8 +671,8 @@ fn cells_follow_the_sizes_and_meet_without_gaps() {
             assert_eq!(watertight::defect(&mesh), None, "ratio {ratio}, cells of {cell}");
             let found = measure(&mesh);
             assert_eq!(found.components, 2);
-            // A mesh of both sides of the lake in the finest cells would have more triangles than
-            // this.
+            // If all cells were as small as the finest, the mesh of both sides of the lake would
+            // have more triangles than `finest`.
             let finest = 4.0 * (75.0 * ratio / cell).powi(2);
             assert!((mesh.triangles.len() as f64) < 0.6 * finest, "{}", mesh.triangles.len());
             // Normals must point to the outer side of the triangles, even at seams.

@@ -1,4 +1,4 @@
-//! Tests of solids, at whose surfaces water ends.
+//! Tests of solids: the water ends at their surfaces.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -278,7 +278,7 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
         |p: &&[f64; 3]| p[0] > edge - 9.0 && p[2] > edge - 9.0 && (0.5..5.0).contains(&p[1]);
     let behind = mesh.positions.iter().filter(behind).map(|&p| from_solid(DVec3::from(p)));
     let on = behind.filter(|distance| distance.abs() < 0.2).count();
-    assert!(on > 50, "{on} vertices are at the solid");
+    assert!(on > 50, "only {on} vertices are at the solid");
 }
 
 #[test]
@@ -305,12 +305,12 @@ fn the_memory_limit_that_an_error_about_solids_asks_for_suffices() {
     let solid = written(&folder, "ball.obj", &moved(&sphere(RADIUS, 6), CENTRE.to_array()));
     let water = pool(0.3, from_ball);
     let run = |bytes: u64| at(request(0.5), &solid).memory(MemoryBudget(bytes)).run(&water);
-    // The library first knows the file's size, and knows the number of triangles only after reading
-    // the file.
+    // The first error estimates the memory from the size of the solid's file. The second error
+    // gives the memory that the solid needs after the library has read the file.
     let mut budget = 17 << 20;
     for _ in 0..2 {
         let Err(Error::LittleMemory { least, .. }) = run(budget) else {
-            panic!("{budget} bytes are too few for the solid");
+            panic!("{budget} bytes must be too few for the solid");
         };
         assert!(least > budget);
         budget = least;

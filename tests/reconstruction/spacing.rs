@@ -1,8 +1,8 @@
 //! Tests of the spacing from every source: an estimate, a setting, a file, a scene, a state or a
 //! packed frame.
 //!
-//! The library warns if the particles contradict the spacing. Other tests have particles in a
-//! plane, at one position, and far from the origin.
+//! If the particles contradict the spacing, the library must warn. Other tests use particles that
+//! lie in a plane, at one position, or far from the origin.
 
 use std::fmt::Write as _;
 use std::fs;

@@ -1,4 +1,4 @@
-//! Tests of water in tanks whose walls are anywhere between the faces of cells.
+//! Tests of water in tanks with walls at any position between the faces of cells.
 
 use meniscus::Reconstruction;
 use meniscus::internals::brick::BrickSide;

@@ -62,7 +62,7 @@ fn outputs_are_independent_of_threads_memory_jobs_and_job_order() {
         tree(&out)
     };
     let first = bytes(&[&["--threads", "1"]]);
-    assert_eq!(first.len(), 9 + 4, "meshes, records, the state and two listings");
+    assert_eq!(first.len(), 9 + 4, "9 meshes, the records, the state and two listings");
     assert!(first == bytes(&[&["--threads", "3"]]));
     assert!(first == bytes(&[&["--threads", "2", "--memory", "130MiB"]]));
     // The last job writes the listings, which must contain the frames of all jobs.
@@ -98,7 +98,7 @@ fn resuming_remakes_only_frames_that_are_damaged_unrecorded_or_changed() {
     let errors = run(folder.path(), &with(&["--resume"]), 0);
     assert!(errors.contains("4 of 8 frames are already finished"), "{errors}");
     fs::remove_file(out.join(".meniscus-alive.tmp"))
-        .expect("the temporary file of another process stays");
+        .expect("--resume keeps the temporary file of another process");
     assert!(tree(&out) == whole);
     let remade: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
     assert_eq!(remade, [2, 3, 4, 5]);
@@ -189,7 +189,7 @@ fn statistics_can_be_written_into_the_new_folder_of_the_meshes() {
     for (output, stats) in [("a/", "a/s.jsonl"), ("b/c/m_{}.ply", "b/s.jsonl")] {
         let arguments = ["in/f_{}.xyz", "-o", output, "--stats", stats];
         run(folder.path(), &[&arguments[..], &["--dry-run"]].concat(), 0);
-        assert!(!folder.path().join(stats).parent().unwrap().exists(), "a dry run writes nothing");
+        assert!(!folder.path().join(stats).parent().unwrap().exists(), "a dry run made a folder");
         run(folder.path(), &arguments, 0);
         let lines = fs::read_to_string(folder.path().join(stats)).unwrap();
         assert_eq!(lines.lines().count(), 2, "{stats}");
@@ -400,7 +400,7 @@ fn kernel_methods_match_single_frames_and_a_new_method_needs_overwrite() {
         );
     }
     let small = ["--method", "zhu-bridson", "--overwrite", "--threads", "1", "--memory", "16MiB"];
-    assert!(made(&small).0 == first, "other threads and memory");
+    assert!(made(&small).0 == first, "threads or memory change the output");
 
     let errors = run(folder.path(), &with(&["--method", "yu-turk"]), 2);
     assert!(errors.contains("changed: method"), "{errors}");
@@ -661,10 +661,11 @@ fn every_frame_uses_the_calibration_of_the_state_not_its_own() {
         let mu0 = if indicator == "symmetry" { vec![] } else { vec!["--mu0", &mu0] };
         assert!(
             single(&[&mu0[..], &["--iso", &iso]].concat()) == made["m_2.ply"],
-            "{indicator}: does not use {shared}"
+            "{indicator}: frame 2 does not use {shared}"
         );
-        assert!(single(&[]) != made["m_2.ply"], "{indicator}: its own calibration gives the same");
-        assert!(single(&mu0) != made["m_2.ply"], "{indicator}: its own isovalue gives the same");
+        // The frame's own calibration, and its own isovalue, would give a different mesh.
+        assert!(single(&[]) != made["m_2.ply"], "{indicator}");
+        assert!(single(&mu0) != made["m_2.ply"], "{indicator}");
     }
 }
 
@@ -687,8 +688,8 @@ fn every_cloud_frame_uses_the_plateau_of_the_state_not_its_own() {
         run(folder.path(), &[&[&input, "-o", "one.ply"], &more[..]].concat(), 0);
         fs::read(folder.path().join("one.ply")).unwrap()
     };
-    assert!(single(1) == made["m_1.ply"], "frame 1 uses its own plateau");
-    assert!(single(2) != made["m_2.ply"], "frame 2 uses the plateau of frame 1");
+    assert!(single(1) == made["m_1.ply"], "frame 1 must use its own plateau");
+    assert!(single(2) != made["m_2.ply"], "frame 2 must use the plateau of frame 1");
     // Exchange the frames, so that the calibration uses the dense frame. Its plateau is about three
     // times that of the thin frame, so frame 3 gets a different mesh.
     fs::rename(folder.path().join("in/f_2.xyz"), folder.path().join("in/f_1.xyz")).unwrap();
@@ -1209,7 +1210,8 @@ fn an_interrupted_sequence_keeps_finished_frames_and_resumes() {
 fn a_conversion_started_by_nohup_survives_the_end_of_the_session() {
     let folder = falling(1..=40);
     let arguments: Vec<String> = ALL.iter().map(|word| format!("'{word}'")).collect();
-    // The shell ignores SIGHUP as `nohup` does, and so does the program that replaces it.
+    // Like `nohup`, `trap` makes the shell ignore SIGHUP. The program that replaces the shell also
+    // ignores SIGHUP.
     let reconstruct = format!("reconstruct {}", arguments.join(" "));
     let mut child = program::shell_command(folder.path(), "trap '' HUP", &reconstruct)
         .stderr(Stdio::null())
@@ -1477,7 +1479,7 @@ fn resuming_keeps_the_frame_rate_and_refuses_another() {
     run(folder.path(), &with(&["--overwrite"]), 0);
     let json = fs::read(out.join("m.ply.json")).unwrap();
     let json: Value = serde_json::from_slice(&json).unwrap();
-    assert_eq!(json["fps"], Value::Null, "a conversion from the start takes no earlier rate");
+    assert_eq!(json["fps"], Value::Null, "--overwrite must not keep the earlier frame rate");
 }
 
 #[cfg(unix)]
@@ -1592,7 +1594,8 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
         ["one.ply", "whole.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(one == alone);
 
-    // A frame without all its files fails alone, and does not matter if it is not selected.
+    // If a frame lacks one of its files, only this frame fails. If the frame is not selected, there
+    // is no error.
     fs::remove_file(folder.path().join("ranks/f_2_rank1.xyz")).unwrap();
     fs::remove_file(folder.path().join("fluids/oil_2.xyz")).unwrap();
     for (n, (inputs, lacking)) in [
@@ -1610,7 +1613,8 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
         run(folder.path(), &[inputs, &["-o", &first, "--end", "1"]].concat(), 0);
         assert!(meshes_in(&folder.path().join(first)) == whole[..1], "{inputs:?}");
     }
-    // In a folder, most frames must be complete.
+    // In a folder, more than half of the frames must have all of their pieces. Here, only one of
+    // two frames is complete.
     run(folder.path(), &["ranks", "-o", "none/"], 2);
     // Inputs without a common frame number do not form a joined simulation.
     fs::rename(folder.path().join("fluids/oil_1.xyz"), folder.path().join("fluids/oil_7.xyz"))
@@ -1838,7 +1842,7 @@ fn an_integer_colour_keeps_the_scale_of_the_calibration_frame() {
             assert!(values.iter().all(is_equal), "{scalar}: {colour} became {}", values[0]);
         }
     }
-    // A frame whose values do not fit fails alone.
+    // If the values of a frame do not fit, only this frame fails.
     write("int", [200.0, 20.0, 4.0, 300.0]);
     let errors = run(folder.path(), &all, 1);
     assert!(errors.contains("\"Cd\" has the value 300"), "{errors}");

@@ -28,8 +28,8 @@ struct Sequence {
     frames: u64,
     /// Number of inputs that were written. Each input is different.
     written: u64,
-    /// Whether records were damaged. The program treats a mesh without a record as a foreign file:
-    /// if its input now gives other bytes, only `--overwrite` replaces it.
+    /// Whether records were damaged. The program treats a mesh without a record as a foreign file.
+    /// If the input of this frame now gives a different mesh, only `--overwrite` replaces the file.
     lost_records: bool,
     format: &'static str,
     history: String,
@@ -216,8 +216,8 @@ impl Sequence {
             self.event();
         }
         self.finish("out");
-        // Start the single run with the same state: its calibration was measured only once, on the
-        // frames that were complete at that time.
+        // Start the single run with the same state. The calibration in this state was measured only
+        // once, on the frames that were complete at that time.
         let state = format!("m.{}.meniscus/state.json", self.format);
         let [from, to] = ["out", "alone"].map(|name| self.folder.path().join(name).join(&state));
         fs::create_dir_all(to.parent().unwrap()).unwrap();

@@ -59,7 +59,7 @@ fn meshes(child: Child, folder: &Path) -> Vec<String> {
 
 #[test]
 fn pieces_written_before_their_index_are_not_frames() {
-    // At first there is no index, so the program cannot know the names of pieces.
+    // At first there is no index, so the program cannot tell which files are pieces.
     for input in ["in", "in/f*"] {
         let folder = TempDir::new().unwrap();
         let sim = folder.path().join("in");

@@ -4,7 +4,7 @@
 //! `cargo bench --bench binning [-- MILLIONS_OF_PARTICLES]`
 
 #[path = "../shaders/compile.rs"]
-#[allow(dead_code, reason = "only its way to binaries")]
+#[allow(dead_code, reason = "the benchmark only compiles one shader")]
 mod compile;
 mod scene;
 
@@ -181,7 +181,7 @@ fn main() -> Result<(), compile::Fault> {
             Ok(())
         })
     })?;
-    row("straight to cells: clear them", count, clear);
+    row("directly to cells: clear", count, clear);
     let seconds = best(|| {
         run(&device, |batch| {
             for first in (0..count).step_by(chunk) {
@@ -195,6 +195,6 @@ fn main() -> Result<(), compile::Fault> {
             Ok(())
         })
     })?;
-    row("straight to cells: place, add", count, seconds);
+    row("directly to cells: place, add", count, seconds);
     Ok(())
 }

@@ -24,7 +24,7 @@ fn run(
 ) -> Result<(), Error> {
     let heard = Arc::clone(heard);
     let note = move |Progress { stage, done, .. }: Progress| {
-        heard.lock().expect("nobody panics").push((Instant::now(), stage, done));
+        heard.lock().expect("no thread panics").push((Instant::now(), stage, done));
     };
     let request = Reconstruction::new().simplify(0.25).cancel(cancel.clone()).progress(note);
     let prepared = request.output(output, Replace::Refuse)?;
@@ -48,7 +48,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // For each stage, the longest time between one of its reports and the next report, and the sum
     // of these times.
     let mut still: Vec<(Stage, Duration, Duration)> = Vec::new();
-    let heard = std::mem::take(&mut *heard.lock().expect("nobody panics"));
+    let heard = std::mem::take(&mut *heard.lock().expect("no thread panics"));
     for (at, &(since, stage, _)) in heard.iter().enumerate() {
         let gap = heard.get(at + 1).map_or(start + whole, |next| next.0) - since;
         match still.iter_mut().find(|(other, ..)| *other == stage) {
@@ -65,7 +65,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let result = std::thread::scope(|scope| {
             let work = scope.spawn(|| run(input, output, &cancel, &heard).map_err(|e| e.cause()));
             std::thread::sleep(after);
-            *cancelled.lock().expect("nobody panics") = Some(Instant::now());
+            *cancelled.lock().expect("no thread panics") = Some(Instant::now());
             cancel.cancel();
             work.join().expect("the work does not panic")
         });
@@ -76,7 +76,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Err(other) => return Err(format!("the frame failed: {other:?}").into()),
             Ok(()) => std::fs::remove_file(output)?,
         }
-        let heard = heard.lock().expect("nobody panics");
+        let heard = heard.lock().expect("no thread panics");
         let Some(&(_, stage, done)) = heard.iter().rfind(|(at, ..)| *at <= since) else { continue };
         match slowest.iter_mut().find(|(other, ..)| *other == stage) {
             Some(slowest) if slowest.1 >= took => {}
@@ -84,10 +84,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             None => slowest.push((stage, took, done)),
         }
     }
-    println!(
-        "{:12} {:>9} {:>14} {:>22}",
-        "stage", "seconds", "longest still", "slowest cancel, at"
-    );
+    println!("{:12} {:>9} {:>14} {:>22}", "stage", "seconds", "longest gap", "slowest cancel, at");
     for (stage, longest, all) in still {
         let cancel = slowest.iter().find(|(other, ..)| *other == stage);
         let cancel = cancel.map_or("not hit".to_owned(), |(_, took, done)| {

@@ -48,7 +48,7 @@ def main():
 
     positions = np.ascontiguousarray(particles.positions, np.float32)
     print("\n| pysplashsurf's call | meniscus | pysplashsurf | ratio |\n|---|---|---|---|")
-    for name, options in [("`cube_size=1.0` and nothing else", dict(cube_size=1.0)), ("Genesis' call", GENESIS)]:
+    for name, options in [("`cube_size=1.0`, no other options", dict(cube_size=1.0)), ("Genesis' call", GENESIS)]:
         options = dict(particle_radius=spacing / 2, smoothing_length=2.0, multi_threading=True, **options)
         ours, theirs = [], []
         for _ in range(max(1, runs // 3)):

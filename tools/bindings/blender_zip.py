@@ -31,7 +31,7 @@ def platform_of(wheel: str) -> str:
         for pattern, platform in PLATFORMS.items():
             if re.fullmatch(pattern, tag):
                 return platform
-    raise SystemExit(f"{wheel}: Blender runs on none of {', '.join(tags)}")
+    raise SystemExit(f"{wheel}: Blender does not run on any of these platforms: {', '.join(tags)}")
 
 
 def manifest_with(manifest: str, wheel: str) -> str:
@@ -49,7 +49,7 @@ def pack(wheel: Path, folder: Path) -> Path:
     version = re.search(r'^version = "(.*)"$', manifest, re.M)
     name = re.search(r'^id = "(.*)"$', manifest, re.M)
     if version is None or name is None:
-        raise SystemExit("the manifest has no id and no version")
+        raise SystemExit("the manifest must have an id and a version")
     zipped = folder / f"{name[1]}-{version[1]}-{platform_of(wheel.name)}.zip"
     files = {"blender_manifest.toml": manifest_with(manifest, wheel.name).encode(), "LICENSE": (ROOT / "LICENSE-MIT").read_bytes(), "README.md": (BINDINGS / "README.md").read_bytes()}
     for path in sorted(SOURCE.rglob("*.py")):

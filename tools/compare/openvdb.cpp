@@ -69,7 +69,7 @@ Particles read(const std::string& path) {
 }
 
 openvdb::points::PointDataGrid::Ptr bin(const Particles& particles, const double spacing) {
-    // Bins of one spacing suit the rasterizers, whatever the size of the voxels.
+    // Bins of one spacing suit the rasterizers for any voxel size.
     const auto bins = openvdb::math::Transform::createLinearTransform(spacing);
     const openvdb::points::PointAttributeVector<openvdb::Vec3s> positions(particles.points);
     const auto index =
@@ -126,8 +126,8 @@ openvdb::FloatGrid::Ptr rasterize(const std::string& method, const Particles& pa
     throw std::invalid_argument("this version of OpenVDB does not have the method " + method);
 }
 
-// Writes a .ply. Divides quads into two triangles, and reverses all polygons, because OpenVDB's
-// face inwards.
+// Writes a .ply. Divides each quad into two triangles, and reverses all polygons, because OpenVDB's
+// polygons face inwards.
 void write(const char* path, const openvdb::FloatGrid& surface, const double isovalue) {
     std::vector<openvdb::Vec3s> points;
     std::vector<openvdb::Vec3I> triangles;

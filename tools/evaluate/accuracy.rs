@@ -153,8 +153,8 @@ pub fn run(options: &Options) -> Outcome<()> {
                 solid.name, solid.volume
             );
             let [by_place, by_turn] = tables;
-            by_place.print(&format!("{what} over places of the lattice in a cell"));
-            by_turn.print(&format!("{what} over turns of the lattice"));
+            by_place.print(&format!("{what} over positions of the lattice in a cell"));
+            by_turn.print(&format!("{what} over rotations of the lattice"));
         }
     }
     summary(options, methods, &all);
@@ -191,7 +191,7 @@ fn summary(options: &Options, methods: &[Method], all: &[Vec<Vec<Option<Vec<Erro
             }
         }
         table.print(&format!(
-            "{what} in spacings, mean over all bodies, places and turns, the least in bold"
+            "{what} in spacings, mean over all bodies, positions and rotations, the least in bold"
         ));
     }
 }

@@ -62,7 +62,7 @@ pub fn write(image: &Image, path: &Path) -> Outcome<()> {
 
 /// Writes a .png file with images side by side.
 pub fn write_sheet(images: &[Image], columns: usize, path: &Path) -> Outcome<()> {
-    write(&Image::sheet(images, columns).ok_or("a sheet of no pictures")?, path)
+    write(&Image::sheet(images, columns).ok_or("a sheet needs at least one picture")?, path)
 }
 
 #[cfg(test)]

@@ -128,9 +128,9 @@ pub fn run(options: &Options) -> Outcome<()> {
     }
     let what = "rules for c: mean distance, mean bias, greatest bias, in spacings";
     along.print(&format!(
-        "{what}; of all bodies, regular, by the lattice's place along the diagonal of a cell"
+        "{what}; all bodies, regular lattices at several positions along the diagonal of a cell"
     ));
-    averages.print(&format!("{what}; over places of the lattice in a cell, of all bodies"));
+    averages.print(&format!("{what}; all bodies, averages over positions of the lattice"));
     Ok(())
 }
 

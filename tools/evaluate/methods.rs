@@ -171,12 +171,12 @@ impl Iso {
 }
 
 /// The volume inside a surface, divided by the volume of its particles. Returns an error if the
-/// surface encloses too little, because its time would then mean nothing.
+/// surface encloses too little volume, because its time would then be meaningless.
 pub fn held(surface: &StitchedSurface, particles: usize, spacing: f64) -> Outcome<f64> {
     match Shortfall::of(surface, None, particles, None, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
         Some(shortfall) => {
-            Err(format!("the timed surface is not that of the fluid: {shortfall}").into())
+            Err(format!("the timed surface does not enclose the fluid: {shortfall}").into())
         }
     }
 }

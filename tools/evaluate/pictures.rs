@@ -127,7 +127,7 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     let full = FULL_COLOUR as f32;
     write(&camera.coloured(&mesh, SIZE, by_distance, Some([-full, full]))?, &png)?;
     println!(
-        "- {}, {}: {} by {}, blue {FULL_COLOUR} spacings inside of the truth to red as far outside",
+        "- {}, {}: {} by {}, from blue {FULL_COLOUR} spacings inside the true surface to red as far outside",
         png.display(),
         ply.display(),
         solid.name,

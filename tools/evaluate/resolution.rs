@@ -62,8 +62,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "milliseconds a stage, {} particles of a splash, counting; stages of the CPU one by one, the whole frame as it \
-         runs",
+        "milliseconds per stage, {} particles of a splash, counting; on the CPU, each stage is measured separately, \
+         and the whole frame in a normal run",
         particles.len()
     ));
     detail(options, &particles, side)

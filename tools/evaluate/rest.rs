@@ -41,7 +41,7 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "a level pool is raised by one cell in {STEPS} steps: the largest movement of its surface relative to it in one step, in cells"
+        "a level pool rises by one cell in {STEPS} steps: the largest movement of the surface relative to the pool in one step, in cells"
     ));
     Ok(())
 }

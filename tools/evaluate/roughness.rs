@@ -64,13 +64,14 @@ pub fn run(options: &Options) -> Outcome<()> {
     }
     surfaces.print(
         "deviation from the true surface, in spacings, of a level pool and a ball, jittered by 0.3: \
-         its mean, and its RMS about the mean; bubbles, crumbs and handles (of four pools, and the ball)",
+         the mean (bias), and the RMS around the mean; within: the number of bubbles, crumbs and handles of four \
+         pools, and of the ball",
     );
     sheets.print(
-        "sheets of jittered particles above a pool: components, holes in them, mean thickness in spacings",
+        "sheets of jittered particles above a pool: components, holes, mean thickness in spacings",
     );
     drops.print(&format!(
-        "components above a pool of {} drops: with fewer, drops are lost; with more, they are torn",
+        "number of components of {} drops above a pool: with fewer components, drops are lost; with more, drops are torn",
         DROPS * DROPS
     ));
     Ok(())

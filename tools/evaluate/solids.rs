@@ -3,7 +3,7 @@
 //!
 //! The particles move on the streamlines of a potential flow around the ball. If the vertices of a
 //! frame move with this flow, they should therefore lie on the surface of the next frame. For
-//! comparison, the same is measured with water in place of the ball.
+//! comparison, the changes are also measured with water, and with a hole, in place of the ball.
 
 use std::fmt::Write;
 use std::fs;
@@ -79,8 +79,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "a ball moves through a pool in {FRAMES} frames: its distance from the fluid, and the RMS distance from the level, carried \
-         by its velocity, to the next level, {} to {} spacings from the ball",
+        "a ball moves through a pool in {FRAMES} frames: its distance from the fluid; and the RMS distance between the \
+         surface, moved with the flow, and the surface of the next frame, {} to {} spacings from the ball",
         NEAR[0], NEAR[1]
     ));
     Ok(())

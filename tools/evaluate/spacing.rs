@@ -19,9 +19,9 @@ const GIVEN: [f64; 13] = [0.1, 0.25, 0.4, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.5, 2.
 
 pub fn run(options: &Options) -> Outcome<()> {
     let mut estimates =
-        Table::new(&["particles", "count", "by counting alone", "estimate", "said"]);
+        Table::new(&["particles", "count", "by counting only", "estimate", "warnings"]);
     let mut given = Table::new(&[
-        "spacing given over true",
+        "given spacing / true spacing",
         "0.1",
         "0.25",
         "0.4",
@@ -36,7 +36,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         "4",
         "10",
     ]);
-    let mut cost = Table::new(&["particles", "ms to estimate", "ms of a frame, without", "share"]);
+    let mut cost =
+        Table::new(&["particles", "ms to estimate", "ms of a frame without estimating", "share"]);
     for file in &options.files {
         let (path, truth) = match file.rsplit_once('=') {
             Some((path, truth)) => (path, Some(truth.parse()?)),
@@ -58,10 +59,10 @@ pub fn run(options: &Options) -> Outcome<()> {
     for (name, particles) in made(options.quick) {
         estimates.row(estimate(&name, &particles, 1.0));
     }
-    estimates.print("Estimated spacing divided by the true one, and the warnings");
+    estimates.print("Estimated spacing divided by the true spacing, and the warnings");
     if !options.files.is_empty() {
         given.show("Warnings about a given spacing");
-        cost.show("Milliseconds, all processors");
+        cost.show("Time of the estimate, with all processors");
     }
     Ok(())
 }

@@ -110,8 +110,9 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(
-        "seconds a frame, particles in memory to mesh in memory, mean and deviation over frames of a splash \
-         whose longest side has so many cells; volume of the mesh over that of the particles; the paper's are of one core of a Ryzen 9 3950X and its own scenes",
+        "seconds per frame, from particles in memory to a mesh in memory: mean and standard deviation over frames of a \
+         splash with this number of cells along its longest side; volume: the mesh's, divided by the particles'; paper: \
+         the paper's seconds for its own scenes, on one core of a Ryzen 9 3950X",
     );
     Ok(())
 }

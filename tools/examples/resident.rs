@@ -19,7 +19,7 @@ use meniscus::{Grid, IndicatorKind};
 /// The vertices and the triangles of a surface.
 pub type Surface = (Vec<[f32; 3]>, Vec<[u32; 3]>);
 
-#[allow(dead_code, reason = "a test has the rest")]
+#[allow(dead_code, reason = "a test uses only the other functions")]
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let path = arguments.next().ok_or("usage: resident OUTPUT.ply [DEVICE]")?;
@@ -82,7 +82,7 @@ impl Program {
             let fits = |(kind, i): &(&vk::MemoryType, u32)| {
                 needs.memory_type_bits >> i & 1 == 1 && kind.property_flags.contains(wanted)
             };
-            let (_, kind) = kinds.find(fits).ok_or("no memory that both sides see")?;
+            let (_, kind) = kinds.find(fits).ok_or("no memory that the host can access")?;
             let info = vk::MemoryAllocateInfo::default()
                 .allocation_size(needs.size)
                 .memory_type_index(kind);

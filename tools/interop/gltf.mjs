@@ -71,7 +71,7 @@ if (compressedPath) {
     const off = greatest(plain.positions, packed.positions, (p, q) => Math.max(...p.map((x, i) => Math.abs(x - q[i]))));
     // The coordinates of the uncompressed file are also rounded, to f32.
     const rounding = greatest(plain.positions, plain.positions, (p) => Math.max(...p.map(Math.abs))) * 2 ** -23;
-    demand(off <= packed.error + rounding, `positions are off by ${off}, stated are ${packed.error}`);
+    demand(off <= packed.error + rounding, `positions are off by ${off}; the file states ${packed.error}`);
     for (const [name, values] of Object.entries(plain.values).filter(([name]) => name !== 'POSITION')) {
         const other = packed.values[name];
         if (name === 'NORMAL') {

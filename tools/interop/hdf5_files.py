@@ -41,7 +41,7 @@ with h5py.File(f"{folder}/columns.h5", "w", libver="latest") as file:
     file["C"] = np.zeros((9, 60), "i1")
     file["X"] = np.zeros((3, 60), "f4")
     file["time"] = [[0.5]]
-# An H5MD file with three frames, the second of which has two particles fewer.
+# An H5MD file with three frames. The second frame has two particles fewer.
 with h5py.File(f"{folder}/h5md.h5", "w", libver="latest") as file:
     file.create_group("h5md").attrs["version"] = [1, 1]
     fluid = file.create_group("particles/fluid")
@@ -72,11 +72,11 @@ with h5py.File(f"{folder}/types.h5", "w", libver="latest") as file:
         group["type"] = (np.arange(60) % 3).astype("u1")
         group["gradient"] = np.arange(540, dtype="f4").reshape(60, 3, 3)
         group["spectrum"] = np.zeros((60, 100), "i1")
-# Groups of particles, one of which is called a fluid.
+# Two groups of particles; the name of one of them is Fluid.
 with h5py.File(f"{folder}/fluid.h5", "w", libver="latest") as file:
     file["Fluid/position"] = points
     file["boundary/position"] = np.zeros((4, 3), "f4")
-# An openPMD file with two species, one of which is called a fluid.
+# An openPMD file with two species; the name of one of them is fluid.
 with h5py.File(f"{folder}/species.h5", "w", libver="latest") as file:
     file.attrs["openPMD"], file.attrs["basePath"] = "1.1.0", "/data/%T/"
     file.attrs["particlesPath"] = "particles/"

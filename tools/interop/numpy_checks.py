@@ -31,4 +31,4 @@ for kind in ["<f4", ">f4", "<f8", ">f8"]:
             check(f"{folder}/b.npz", values.astype("f8"), {"v": 3})
             save(f"{folder}/c.npz", values)
             check(f"{folder}/c.npz", values.astype("f8"), {})
-print(f"{read} .npy and .npz files of NumPy {np.__version__} read")
+print(f"read {read} .npy and .npz files of NumPy {np.__version__}")

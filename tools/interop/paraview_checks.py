@@ -88,4 +88,4 @@ for data, writer_of, extension in [(poly, vtkXMLPolyDataWriter, "vtp"), (grid, v
                         assert info["bounds"] == [[0, 0, 0], [4.5, 2.25, 6.125]], info
                         assert info["attributes"] == [{"name": "velocity", "components": 3}], info
                         read += 1
-print(f"particles: {read} .vtp and .vtu of VTK's own writers read")
+print(f"particles: read {read} .vtp and .vtu files of VTK's own writers")

@@ -45,7 +45,7 @@ for name, rows in [
     ("flags_poly.vtkhdf#2", [1, 2, 3, 4]),
 ]:
     assert np.allclose(info(name)["bounds"], [values[rows].min(0), values[rows].max(0)]), name
-    print(f"{name}: {len(rows)} particles that are no ghosts")
+    print(f"{name}: {len(rows)} particles that are not ghosts")
 for step, rows in [(0, count), (1, 8), (2, count)]:
     check(f"steps.vtkhdf#{step}", values[:rows] + 10 * step, tolerance=1e-6)
 check("swift_0003.hdf5", values, velocity="Velocities", box_size=[EDGE] * 3, unit_metres=3.0856776e22)
@@ -110,4 +110,4 @@ cells = sphere.GetOutput().GetNumberOfPolys()
 found = info("sphere.vtkhdf")
 assert (found["kind"], found["triangles"]) == ("mesh", cells), found
 subprocess.check_call([meniscus, "check", f"{folder}/sphere.vtkhdf"], stdout=subprocess.DEVNULL)
-print(f"sphere.vtkhdf: {cells} triangles of VTK's")
+print(f"sphere.vtkhdf: {cells} triangles that VTK wrote")

@@ -45,14 +45,14 @@ def texts(crate: dict[str, str]) -> list[str]:
 
 def main() -> None:
     sys.stdout.reconfigure(encoding="utf-8", newline="\n")  # type: ignore[union-attr]
-    print("meniscus links the crates below. Each keeps its licence.")
+    print("meniscus links the crates below. Each crate is under the licence that is printed with it.")
     seen: dict[str, str] = {}
     for crate in linked(sys.argv[1:]):
         name = f"{crate['name']} {crate['version']}"
         print(f"\n{'=' * 80}\n{name}: {crate['license']}, {crate['repository']}\n")
-        for text in texts(crate) or ["The crate holds no text of its licence: see LICENSE-APACHE and LICENSE-MIT of meniscus."]:
+        for text in texts(crate) or ["The crate contains no licence text: see LICENSE-APACHE and LICENSE-MIT of meniscus."]:
             first = seen.setdefault(text, name)
-            print(text if first == name else f"The same text as of {first}.")
+            print(text if first == name else f"The same text as for {first}.")
 
 
 if __name__ == "__main__":

@@ -165,7 +165,7 @@ fn without_idle_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
     let targets: HashSet<Word> = module.annotations.iter().filter_map(target).collect();
     if let Some(both) = targets.iter().find(|id| laid_out.contains(*id) && shared.contains(*id)) {
         return Err(format!(
-            "type {both} is of a buffer and of a work group, and can have but one layout"
+            "type {both} is used in a buffer and in workgroup memory, but can have only one layout"
         )
         .into());
     }

@@ -10,7 +10,7 @@
 //! binaries. This program links the library, so for a new shader or field, change the WGSL and run
 //! this program before you use the shader or field in Rust code.
 
-#[allow(dead_code, reason = "tests use the rest")]
+#[allow(dead_code, reason = "only tests use the other functions")]
 mod compile;
 
 use std::fs;
@@ -43,7 +43,7 @@ fn run(options: &Options) -> Result<ExitCode, Fault> {
     let outdated = compile::outdated()?;
     for made in &outdated {
         if options.check {
-            println!("{}: not what the sources make", made.file.display());
+            println!("{}: outdated", made.file.display());
         } else {
             write(made)?;
             println!("{}: written", made.file.display());

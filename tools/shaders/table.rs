@@ -32,7 +32,7 @@ pub fn rust(programs: &BTreeMap<String, Module>) -> Result<String, Fault> {
         if let Some(Block { name: block, fields }) = push
             && *blocks.entry(block.clone()).or_insert_with(|| fields.clone()) != fields
         {
-            return Err(within(format!("another shader has another {block}")).into());
+            return Err(within(format!("another shader declares a different {block}")).into());
         }
     }
     for (name, fields) in blocks {
@@ -49,7 +49,7 @@ fn shader(name: &str, module: &Module, push: Option<&str>) -> Result<String, Str
         return Err(format!("the entry point must be named {name}, not {}", entry.name));
     }
     let [group, 1, 1] = entry.workgroup_size else {
-        return Err("the work group must be a row".into());
+        return Err("the workgroup must have size 1 along y and z".into());
     };
     let constant = name.to_uppercase();
     let buffers = buffers(module)?;

@@ -1,4 +1,4 @@
-//! The recipe on blocks in a thread's memory.
+//! Applies the recipe to blocks in a thread's memory.
 
 use std::rc::Rc;
 
@@ -35,7 +35,7 @@ fn minimum(samples: &[u16]) -> u16 {
 #[must_use]
 pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
     let field = recipe.apply(&mut Blocks::new(recipe, sampled, cells, FieldUse::Everywhere)).ok();
-    field.map(|field| Rc::unwrap_or_clone(field.block)).expect("nothing stops it")
+    field.map(|field| Rc::unwrap_or_clone(field.block)).expect("a whole field never stops early")
 }
 
 /// Computes the final field on each of `boxes` in turn. The boxes are near each other. The result
@@ -118,8 +118,8 @@ fn outside_of(
     Some(shares)
 }
 
-/// How far beyond a solid's offset the field is cut, in cells: normals use two cells beyond a
-/// vertex's cell.
+/// Distance, in cells, beyond a solid's offset within which the field is cut. It is large enough
+/// for normals, which use two cells beyond a vertex's cell.
 pub(super) const CUT: i32 = 3;
 
 /// Cuts `field` by a solid.
@@ -204,15 +204,15 @@ pub(super) struct Blocks<'a> {
     density: Option<Density<'a>>,
     /// A solid that may be near, if there is one.
     solid: Option<&'a Solid>,
-    /// The share of each cell that is outside the solid, once clouds have been continued into the
-    /// solid.
+    /// The share of each cell that is outside the solid; `None` if clouds have not been continued
+    /// into a solid.
     outside: Option<Rc<Block>>,
     /// The requested cells of the field.
     cells: CellBox,
     /// The part of `cells` for which samples are gathered.
     pub(super) wanted: CellBox,
     field_use: FieldUse,
-    /// Whether blurred samples can show that no surface passes.
+    /// Whether blurred samples can show that no surface passes through the cells.
     decides: bool,
     /// Whether almost all samples are 0.
     few: bool,
@@ -388,7 +388,7 @@ impl Fields for Blocks<'_> {
 
     fn depths(&mut self, by: &Bulk, clouds: BlockField) -> Result<Depths<BlockField>, StopSignal> {
         let BlockField { ref block, level, ref full } = clouds;
-        // All filters compute the cells that the widest filter leaves.
+        // All three filters compute the cells that remain after the widest filter.
         let cells = block.cells().grown(-by.reach(), -by.reach());
         let share = |width: &Width| {
             let (weights, mirror) = (&width.weights, self.mirror(level));
@@ -483,7 +483,7 @@ impl Fields for Blocks<'_> {
             let around = blur(Block::clone(&block), around, self.mirror(level));
             return Ok(BlockField::new(quotient(&block, &around, bits), level));
         };
-        // Quotients are nonzero only where clouds are.
+        // Quotients are nonzero only where clouds are nonzero.
         let cells = block.cells().grown(-around.reach(), -around.reach());
         let inner = within(&full, cells);
         let part =

@@ -29,8 +29,8 @@ use spray::SprayMaker;
 /// together.
 const SHARE: u64 = 8;
 
-/// Edge, in blocks, of the cubes of blocks that are meshed together: for spray, and for other
-/// fluid.
+/// Edge, in blocks, of the cubes of blocks that are meshed together. Spray has larger cubes than
+/// other fluid.
 const BLOCKS_OF_SPRAY: i32 = 8;
 const BLOCKS_OF_FLUID: i32 = 2;
 

@@ -269,7 +269,7 @@ impl<'a> SizedField<'a> {
     /// The bulk's surface for `cells`, a box of the finest cells. The first of `surfaces` must
     /// already be computed.
     fn bulk(&self, surfaces: &[Option<OctaveSurface>], cells: CellBox) -> Block {
-        let first = surfaces[0].as_ref().expect("it was made");
+        let first = surfaces[0].as_ref().expect("the caller made the first octave's surface");
         first.bulk.part(self.wide(0, cells))
     }
 
@@ -325,7 +325,7 @@ impl<'a> SizedField<'a> {
         let next = any(|share| share > 0).then(|| {
             self.make(surfaces, octave + 1, cells);
             let OctaveSurface { calm, fine, bulk } =
-                surfaces[octave + 1].as_ref().expect("it was made");
+                surfaces[octave + 1].as_ref().expect("`make` made this surface");
             let mirror = self.mirror(octave as u32 + self.distances(octave).level);
             [calm, fine, bulk].map(|field| {
                 let mut field = finer_spacings(refined(field, 1, wide));
@@ -336,7 +336,7 @@ impl<'a> SizedField<'a> {
         });
         surfaces[octave] = Some(match (own, next) {
             (Some(own), Some([calm, fine, bulk])) => {
-                let shares = shares.expect("an octave has a share of its own");
+                let shares = shares.expect("an octave with its own surface has shares");
                 let mixed = |own: Block, next: &Block| mixed(own, next, &shares);
                 OctaveSurface {
                     calm: mixed(own.calm, &calm),
@@ -350,8 +350,9 @@ impl<'a> SizedField<'a> {
         });
     }
 
-    /// The share of coarser octaves in the particle sizes around the octave's wide cells `wide`;
-    /// `None` if only coarser octaves have particles there.
+    /// The share of the density around the octave's wide cells `wide` that belongs to coarser
+    /// octaves, according to the particles' sizes; `None` if only coarser octaves have particles
+    /// there.
     fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let around = wide.grown(self.averaging.reach(), self.averaging.reach());

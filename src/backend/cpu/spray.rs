@@ -20,8 +20,8 @@ const FEW: usize = 16;
 /// a drop.
 const CHEAPER: usize = 10;
 
-/// How far around the inside of a drop the drop's field is needed, in cells: a vertex lies between
-/// an inside cell and its neighbour, and normals use one cell more.
+/// Number of cells around the inside of a drop for which the drop's field is needed: a vertex lies
+/// between an inside cell and its neighbour, and normals need one more cell.
 const AROUND: i32 = 2;
 
 /// The field around the surface of a group of particles, which may be several drops.
@@ -32,7 +32,7 @@ pub(super) struct DropField {
     field: Block,
 }
 
-/// Computes the field of spray, group of particles by group of particles.
+/// Computes the field of spray, one group of particles at a time.
 pub(super) struct SprayMaker<'a> {
     recipe: &'a Recipe,
     distances: &'a DistanceFilters,
@@ -70,7 +70,7 @@ pub(super) fn field(drops: &[DropField], cells: CellBox, walls: Option<CellBox>)
     Some(field)
 }
 
-/// The wide fields around a group, and the maker of the fields that are refined from them.
+/// The wide fields around a group, and the blocks that compute finer fields from them.
 struct NearGroup<'a> {
     bulk: BlockField,
     outlying: BlockField,

@@ -128,7 +128,7 @@ impl DeviceSurfaces {
     }
 }
 
-/// A buffer that grows.
+/// A device buffer that grows as data is appended.
 #[derive(Default)]
 struct GrowingBuffer {
     buffer: Option<Arc<Buffer>>,
@@ -239,7 +239,7 @@ impl Contouring<'_> {
     fn filter(&self, lane: &mut Lane, batch: &BlockBatch) -> Result<BatchField, VulkanError> {
         let device = &self.frame.device;
         let [source] = &self.sources()[..] else {
-            unreachable!("the paper's filters are of one width of cells")
+            unreachable!("the paper's filters use cells of one width")
         };
         let from = self.samples(source.level);
         let mut grid = LevelBlocks::default();

@@ -21,7 +21,7 @@ pub(super) struct Constants {
 /// Tables that are the same for all frames.
 #[derive(Debug, Clone)]
 pub(super) struct Tables {
-    /// Table of depths.
+    /// Table of depths, in standard deviations, for each share of the plateau.
     pub(super) depths: View,
     /// Table of the distance from the centre of a drop for each share.
     pub(super) away: View,

@@ -33,13 +33,13 @@ const BLOCK_ROOM: u64 = 6144;
 const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 
 /// Number of fields on wide cells that exist at once: clouds, two surfaces and their difference,
-/// another field, and its temporary.
+/// another field, and a temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
 /// Number of fields on wide cells that sheets need: the clouds, their smoothed density, and a
 /// temporary.
 pub(super) const SHEETS_FIELDS: usize = 3;
-/// Number of fields for drops: the shares of sheets and their certainty, clouds, the clouds around
-/// them, and a temporary.
+/// Number of fields for drops: the shares of sheets and their certainty, clouds, the smoothed
+/// clouds, and a temporary.
 pub(super) const DROPS_FIELDS: usize = 5;
 /// Number of fields on the parts of blocks in which particles stand out from the surface: the
 /// distance by which particles lie outside the surface, the shares of drops, and the certainty of

@@ -1,4 +1,4 @@
-//! The recipe on the padded blocks of a batch.
+//! Applies the recipe to the padded blocks of a batch.
 
 use std::collections::VecDeque;
 use std::rc::Rc;
@@ -126,7 +126,7 @@ impl Fields for PaddedFields<'_> {
         let field = self
             .gathered
             .pop_front()
-            .expect("a recipe asks for no more samples than were gathered");
+            .expect("a recipe requests no more samples than were gathered");
         debug_assert_eq!(level, self.grids[field.of].level);
         Ok(field)
     }

@@ -110,8 +110,8 @@ impl DeviceFrame {
             return;
         }
         self.forget_residents();
-        // This is tried only once: if the bins come in several runs, the pages of all runs do not
-        // fit.
+        // The allocation is tried only once: if the bins come in several runs, the pages of all
+        // runs together do not fit.
         let most = std::mem::take(&mut state.resident_bytes);
         if let Some(pages) = self.room(state, keys.len() as u64 * page_bytes(shape), most) {
             let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
@@ -184,7 +184,7 @@ pub(super) struct DeviceState {
     /// Bytes that remain for pages of wider cells, after the buffer for the frame's pages is
     /// allocated.
     pub(super) wide_bytes: u64,
-    /// Whether the CPU does the rest of the work, because the device is lost or has too little
+    /// Whether the CPU does the remaining work, because the device is lost or has too little
     /// memory.
     pub(super) on_cpu: bool,
     pub(super) warnings: Vec<String>,

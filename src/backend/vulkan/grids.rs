@@ -158,7 +158,7 @@ impl LevelBlocks {
         );
     }
 
-    /// The blocks, as shaders need them.
+    /// The blocks in the form that shaders read.
     pub(super) fn on_device(&self, inputs: &View, places: &Places) -> DeviceBlocks {
         DeviceBlocks::new(part(inputs, &places.blocks), &self.blocks)
     }

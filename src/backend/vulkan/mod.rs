@@ -4,7 +4,7 @@
 //! are in flight, so that the host prepares one and reads another while the device computes. The
 //! DIF stays on the device between the two stages if it fits. Work that exceeds the device's memory
 //! is retried in smaller batches, and finally on the CPU; if the device is lost, the CPU does the
-//! rest. The device and the CPU produce the same bytes.
+//! remaining work. The device and the CPU produce the same bytes.
 
 mod bins;
 mod blocks;
@@ -205,8 +205,9 @@ impl Executor for Vulkan {
 
 impl Stages for Arc<DeviceFrame> {
     /// Keeps the field on the device if it fits. The field goes to the host if the device shares
-    /// the host's memory, or if the pages take less memory than the particles, which would have to
-    /// be kept to recompute the pages.
+    /// the host's memory. It also goes to the host if the pages take less memory than the
+    /// particles, because a field on the device requires that the host keep the particles, to
+    /// recompute pages after a failure.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
@@ -275,7 +276,8 @@ impl Stages for Arc<DeviceFrame> {
         if surfaces.solid.is_none() {
             return self.contour_away_from_solids(surfaces, regions, meter, take);
         }
-        // Near solids, the CPU computes the surfaces; their bytes are the same.
+        // The CPU computes the surfaces near solids, and the device computes all others. Both
+        // backends produce the same bytes, so the surfaces match.
         for regions in regions.chunks(REGIONS_TOGETHER) {
             let (near, away): (Vec<CellBox>, Vec<CellBox>) =
                 regions.iter().partition(|&&region| surfaces.is_at_solid(region));

@@ -22,7 +22,8 @@ use crate::vulkan::{
 
 use super::{DeviceGrid, flat_groups};
 
-/// Particles per chunk: as many as [are kept](Binning::keep) in one allocation.
+/// Number of particles per chunk, so that the buffer which [`Binning::keep`] creates for a chunk
+/// fills one allocation.
 const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
 /// Number of chunks in a batch. Each chunk takes at most three dispatches and two stages.
 const BATCH_CHUNKS: usize = 16;
@@ -33,11 +34,12 @@ const GROWTH: u64 = 8;
 /// Maximum number of slots that are probed for a bin. If none of them is free, the table is too
 /// small.
 pub const PROBES: u32 = 128;
-/// The value of a slot's `owner` if the slot's key is known.
+/// The value of a slot's `owner` once the slot's key is stored.
 pub const SETTLED: u32 = u32::MAX;
 /// The value of both words of the key of a particle without a bin.
 pub const NO_BIN: u32 = u32::MAX;
-/// Replaces the position of a slot's next particle if the slot's bin belongs to another run.
+/// The value that replaces the position of a slot's next particle if the slot's bin belongs to
+/// another run.
 pub const ELSEWHERE: u32 = u32::MAX;
 /// Bytes of a packed particle.
 const RECORD_BYTES: u64 = 8;

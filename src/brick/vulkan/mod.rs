@@ -96,7 +96,7 @@ impl DeviceBlock {
         self.size.iter().product::<u32>() / 2
     }
 
-    /// The number of runs of words along x, y or z, whichever is greatest.
+    /// The greatest of the three numbers of runs of words: along x, along y and along z.
     fn runs(&self) -> u32 {
         let [x, y, z] = [self.size[0] / 2, self.size[1], self.size[2]];
         let along = |axis: u32, others: u32| axis.div_ceil(RUN) * others;
@@ -133,7 +133,7 @@ impl DeviceBlocks {
     }
 
     /// The numbers of work groups along x, y and z for one thread per run: y is the block, and x
-    /// covers the runs of the block that has the most.
+    /// covers the runs of the block with the most runs.
     pub fn run_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         [pipeline.groups(self.runs), self.count, 1]
     }
@@ -145,14 +145,14 @@ impl DeviceBlocks {
     }
 
     /// The numbers of work groups along x, y and z for one thread per word of all blocks together.
-    /// The rows along x are no longer than every device supports.
+    /// A row along x has at most [`GROUP_ROW`] work groups, which every device supports.
     pub fn flat_groups(&self, pipeline: &ComputePipeline) -> [u32; 3] {
         flat_groups(self.words, pipeline)
     }
 }
 
-/// The numbers of work groups along x, y and z for `threads` threads. The rows along x are no
-/// longer than every device supports.
+/// The numbers of work groups along x, y and z for `threads` threads. A row along x has at most
+/// [`GROUP_ROW`] work groups, which every device supports.
 fn flat_groups(threads: u32, pipeline: &ComputePipeline) -> [u32; 3] {
     let groups = pipeline.groups(threads);
     let width = groups.clamp(1, GROUP_ROW);

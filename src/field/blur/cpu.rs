@@ -25,7 +25,7 @@ pub trait BlurSample: Copy + Default + PartialEq {
 /// If the block is too small for one cell to remain, which is a bug in the recipe or in the
 /// gathering of blocks.
 pub fn blur<T: BlurSample>(block: Block<T>, weights: &Weights, mirror: Option<Mirror>) -> Block<T> {
-    blur_while(block, weights, mirror, |_| true).expect("nothing stops it")
+    blur_while(block, weights, mirror, |_| true).expect("`goes_on` is always true")
 }
 
 /// Blurs like [`blur`], but passes the block to `goes_on` after each axis, and returns `None` as
@@ -180,7 +180,7 @@ fn blur_narrow<const HALF: usize>(to: &mut [u16], taps: &[u16], step: usize, hal
 fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32) {
     // The number of sums that stay in registers.
     const LANES: usize = 32;
-    let (centre, pairs) = half.split_first().expect("a weights has a centre");
+    let (centre, pairs) = half.split_first().expect("weights have a centre");
     let reach = pairs.len();
     let (many, rest) = to.as_chunks_mut::<LANES>();
     let done = many.len() * LANES;
@@ -189,8 +189,8 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32
             taps[first + k * step..].first_chunk::<LANES>().expect("taps for every sample")
         };
         let own = taps(reach);
-        // Plain loops: a closure would not be compiled for this machine's features, and would be
-        // called for each sample.
+        // These are plain loops, because a closure would not be compiled for this machine's
+        // features, and would be called for each sample.
         let mut sums = [1_u32 << (shift - 1); LANES];
         for i in 0..LANES {
             sums[i] += centre * u32::from(own[i]);
@@ -243,7 +243,7 @@ mod tests {
                     let index = block.index(IVec3::from(cell));
                     block.samples_mut()[index] = 9973 * (number as u16 + 1);
                 }
-                let cells_of_few = block.full_cells(count).expect("no more than these are full");
+                let cells_of_few = block.full_cells(count).expect("at most `count` cells are full");
                 let mirror = Some(Mirror::new(CellBox { lo: cells.lo + 9, hi: cells.hi }));
                 let inner = cells.grown(-weights.reach(), -weights.reach());
                 let few = |cells| blur_of_few(&block, &cells_of_few, &weights, cells, mirror);

@@ -30,7 +30,7 @@ const JITTER: f64 = 0.3;
 const TELLING: u64 = 1000;
 
 /// The estimate of disorder counts at most this many particles per cell, relative to the usual
-/// number. Any further particles are a clump.
+/// number. It ignores any further particles of a cell, because they are a clump.
 const MOST: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart, on a disordered lattice.
@@ -72,7 +72,7 @@ impl FluidSums {
         let denser = (spacing / FINEST).powi(3).max(1.0);
         let spacing = spacing.clamp(1.0 / LONGEST, FINEST);
         let edge = (EDGE * spacing).max(EDGE.min(LONGEST * spacing)).floor().max(1.0) as i32;
-        // One additional layer, because the lattice begins below the cells.
+        // There is one additional layer, because the lattice begins below the cells.
         let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
         let mut fluid = Self { denser, ..Self::default() };
         for place in 0..PLACES {
@@ -157,8 +157,8 @@ mod tests {
                 let ratio = share(indicator, spacing) / (each * a_cell);
                 assert!((ratio - 1.0).abs() < within, "{indicator:?} at {spacing}: {ratio}");
             };
-            // theta of a cell with one particle: 1 / mu0 for counting, and the mean over all
-            // positions in the cell for symmetry.
+            // The second argument is theta of a cell with one particle: 1 / mu0 for counting, and
+            // the mean over all positions in the cell for symmetry.
             near(Indicator::Counting(mean), 0.8, 0.02);
             near(Indicator::Symmetry, 0.4454, 0.05);
         }

@@ -55,8 +55,8 @@ impl<'a> Interior<'a> {
     pub fn new(blurred: &'a BlurredSamples<'a>, gap: f64) -> Self {
         let &BlurredSamples { reach, halo, width, .. } = blurred;
         let depth = (reach + halo).min((DEPTH * width).ceil() as i32);
-        // How far, in cells, the cube around each cell extends on every side of it. The 1e-9
-        // absorbs the rounding error of a quotient of decimals.
+        // `closing` is the number of cells by which the cube around each cell extends on every
+        // side. The 1e-9 absorbs the rounding error of a quotient of decimals.
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
@@ -93,9 +93,9 @@ impl<'a> Interior<'a> {
             fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
         windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
         windows(&mut rows, slab / width, 2 * erosion + 1, |a, b| a & b);
-        // Dilation and erosion together look from `seen` cells below a cell to `seen` cells above
-        // it. A window begins at its cell, so the result for a cell is stored `seen` cells below it
-        // along each axis. `wide` begins `margin` cells below `cells`.
+        // After dilation and erosion, the result for a cell depends on the cells from `seen` cells
+        // below it to `seen` cells above it. A window begins at its cell, so this result is stored
+        // `seen` cells below the cell along each axis. `wide` begins `margin` cells below `cells`.
         let CellBox { lo, hi } = cells;
         let among = (1 << (hi.x - lo.x)) - 1;
         let row = |y, z| {

@@ -2,7 +2,7 @@
 //!
 //! The paper's indicators need two numbers: mu0 ([`indicate`]), which turns counts into the DIF,
 //! and the isovalue, a fraction of the [`Plateau`] of the smoothed DIF ([`calibrate`]). Clouds need
-//! only the plateau of wide cells. A [`Calibration`] holds these numbers: all frames of a
+//! only the plateau of wide cells. A [`Calibration`] holds these numbers. All frames of a
 //! simulation use the calibration of one frame. A packed frame stores mu0; the other numbers depend
 //! on filters that are chosen later.
 

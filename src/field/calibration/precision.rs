@@ -31,8 +31,8 @@ pub const COARSEST_STEP: f64 = 0.125;
 /// cells the particles lie.
 pub const FINEST_OF_SYMMETRY: f64 = 0.5;
 
-/// The minimum cell size for distances from clouds, in spacings: the drop of a single particle is
-/// twelve such cells wide.
+/// The minimum cell size for distances from clouds, in spacings. At this size, the drop of a single
+/// particle is twelve cells wide.
 pub const FINEST: f64 = 0.1;
 
 /// The minimum mean of the symmetry indicator over full cells. A lower mean shows that particles
@@ -129,8 +129,8 @@ pub fn check_cell_size_for(
 ) -> Result<(), TooFine> {
     let by = match kind {
         IndicatorKind::Cloud => return check_finest(Some(spacing / cell_size), cell_size),
-        // If mu0 is not known, assumes 1, the least that a frame can have: each particle then
-        // contributes most.
+        // If mu0 is not known, it is assumed to be 1, the minimum for any frame, because each
+        // particle then contributes most to the field.
         IndicatorKind::Counting => Indicator::Counting(
             mean.unwrap_or_else(|| MeanCount::new(1.0).expect("a number within the bounds")),
         ),

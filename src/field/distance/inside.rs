@@ -158,7 +158,7 @@ impl InsideBricks {
         let width = cube_parts(edge);
         let least = FULL_SHARE * plateau * f64::from(PART * width).powi(3);
         let margin = PART * (width - 1);
-        // Sums are integers, so their minimum can be rounded up.
+        // Sums are integers, so the minimum `least` can be rounded up.
         let full_bricks =
             |pages: &dyn RemotePages| pages.full_bricks(width as u32, least.ceil() as u32);
         let full = field.remote().and_then(full_bricks).map(|bits| {

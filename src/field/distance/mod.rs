@@ -167,9 +167,9 @@ impl StandsOut {
     }
 
     /// The distance that counts for a particle `distance` outside the calm surface: `distance` or
-    /// less. `apart` is the difference between the fine and the calm surface. Where it is small, as
-    /// in the bulk, a distance at which no drop stands out is reduced, so that no drop has to be
-    /// computed.
+    /// less. `apart` is the difference between the fine and the calm surface. Where `apart` is
+    /// small, as in the bulk, a distance at which no drop stands out is reduced, so that no drop
+    /// has to be computed.
     #[inline(always)]
     pub fn of_particle(&self, distance: u16, apart: u16) -> u16 {
         let earlier = (u32::from(self.earlier) * self.apart.of(apart)) >> 12;

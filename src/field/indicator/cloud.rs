@@ -418,8 +418,8 @@ mod tests {
         };
         let walls = limits(tank, IVec3::new(1, 0, 0)).unwrap();
         assert_eq!(walls.fold(0, 0, [1, 20, 300]), [0, 321, 0], "one cell between two walls");
-        assert_eq!(walls.fold(1, 0, [1, 20, 300]), [1, 20, 300], "far from both");
-        assert_eq!(walls.fold(2, 3, [1, 20, 300]), [0, 21, 300], "at the lower one");
+        assert_eq!(walls.fold(1, 0, [1, 20, 300]), [1, 20, 300], "far from both walls");
+        assert_eq!(walls.fold(2, 3, [1, 20, 300]), [0, 21, 300], "at the lower wall");
         assert_eq!(walls.fold(2, 4, [1, 20, 300]), [1, 20, 300]);
         assert_eq!(
             limits(tank, IVec3::new(0, 0, 1)).map(|walls| walls.fold(2, 15, [1, 20, 300])),

@@ -78,8 +78,9 @@ impl SampledDif {
     fn levels(&self) -> &[Arc<DifField>] {
         self.wide.get().unwrap_or_else(|| {
             let levels = self.halved();
-            // Two threads may compute the levels at the same time. A lock would prevent this, but a
-            // thread that runs other work while it waits for the lock could wait for itself.
+            // Two threads may compute the levels at the same time. A lock would prevent this, but
+            // could cause a deadlock: while the thread that holds the lock waits for parallel work,
+            // it may run another task, which may wait for the same lock.
             self.wide.get_or_init(|| levels)
         })
     }

@@ -318,7 +318,7 @@ impl SheetConstants {
             ),
         );
         let certain = passed(certain, 4096 - THICK.of(determinant));
-        // Squared, because pieces of uncertain sheets would be visible otherwise.
+        // The certainty is squared, because pieces of uncertain sheets would be visible otherwise.
         let certain = passed(certain, certain);
 
         let [sheet, filament, round] = self.sizes;
@@ -335,7 +335,8 @@ impl SheetConstants {
                 - self.by_distance * away)
                 >> BITS);
         let share = exp2(share.clamp(-15 * ONE, 0)) as u16;
-        // No branches, because several cells are processed at a time.
+        // There is no early return for low densities, because several cells are processed at a
+        // time.
         (if taps.centre < self.least { 0 } else { share }, certain as u16)
     }
 }
@@ -436,7 +437,8 @@ mod tests {
                 let found = half_thickness(&[first, second], density);
                 assert!((found - expected).abs() < 0.03, "{first} {area}: {found}");
             }
-            // The densities of neighbours three spacings apart, and of a single particle.
+            // Particles that are three spacings apart make no sheet, and a single particle makes no
+            // sheet.
             assert_eq!(half_thickness(&[first], 1.0 / 9.0 / (TAU.sqrt() * width)), 0.0);
             let third = first.cross(second);
             let alone = (TAU.sqrt() * width).powi(-3);
@@ -480,12 +482,12 @@ mod tests {
         // The outermost particles lie inside the edges, by half the distance between particles.
         assert!(certainty(DVec3::new(-0.8, -20.0, 0.0), &corner) > 3000);
         assert!(certainty(DVec3::new(-0.8, -0.8, 0.0), &corner) > 2000);
-        // The surface of a bulk, and its edge.
+        // The surface of the bulk is not a sheet, not even at an edge of the bulk.
         for outside in [-0.5, 0.0, 0.5] {
             assert_eq!(certainty(DVec3::splat(outside), &|p| half(p.x)), 0);
             assert_eq!(certainty(DVec3::splat(outside), &|p| half(p.x) + half(p.y)), 0);
         }
-        // As many particles as at the corner, spread in all directions.
+        // The cluster has as many particles as the corner, but they are spread in all directions.
         let wide = |x: f64| gaussian(x) * 0.5;
         let cluster = |p: DVec3| stretched(1.6) - 2.0 + wide(p.x) + wide(p.y) + wide(p.z);
         assert_eq!(certainty(DVec3::ZERO, &cluster), 0);

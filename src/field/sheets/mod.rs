@@ -5,16 +5,16 @@
 //! it lies, and how thick it is.
 //!
 //! 1. Loose. A sheet can stand on water, which would hide its foot. So clouds in the bulk have the
-//!    weight 0. The density under a Gaussian, cut off early, shows what is in the bulk: in free
-//!    sheets of one or two layers, it is lower. The density of sheets is the smoothed product of
-//!    clouds and weights, divided by the smoothed weights. A sheet therefore continues into the
-//!    bulk, instead of having a rim there.
+//!    weight 0. The density under a Gaussian that is cut off early shows whether a cell is in the
+//!    bulk, because this density is lower in free sheets of one or two layers. The density of
+//!    sheets is the smoothed product of clouds and weights, divided by the smoothed weights. A
+//!    sheet therefore continues into the bulk, instead of having a rim there.
 //! 2. Shape. Let rho be this density, smoothed by a Gaussian of width s in wide cells and
 //!    interpolated by splines, and let L be the logarithm of rho. The first and second derivatives
 //!    of L are the moments of the particles under that Gaussian: s^2 grad L is their mean offset,
 //!    and s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an
 //!    eigenvalue of B is 1 across a sheet or a filament, where the particles have no width, and 0
-//!    along it, where nothing changes.
+//!    along it, where the density does not change.
 //! 3. Distance. The middle of the sheet lies at the offset s (2 B - B^2) g from the cell. Along the
 //!    sheet this offset is 0, and across it, it is the mean offset. At a rim, the eigenvalues of B
 //!    are in between, so the distance to the middle grows smoothly there.
@@ -97,10 +97,10 @@ const LEAST_MOST: f64 = 1.0;
 const GRADUAL: f64 = 0.55;
 /// The maximum of this difference, which applies in fine cells.
 const MOST_GRADUAL: f64 = 4.0;
-/// Sheets have faded out where they are stretched by this factor more than requested.
+/// Sheets have faded out completely where their stretch is this factor times the requested maximum.
 const GONE: f64 = 1.12;
-/// The factor by which filaments may be stretched farther than sheets: spray seldom looks like
-/// filaments.
+/// The factor by which filaments may be stretched farther than sheets, because spray seldom looks
+/// like filaments.
 const FILAMENTS_FARTHER: f64 = 1.15;
 /// The width of the Gaussian that shows the bulk, in spacings.
 pub(in crate::field) const BULK_WIDTH: f64 = 1.45;

@@ -145,7 +145,7 @@ impl SizedClouds {
     /// If there are no octaves.
     #[must_use]
     pub fn new(layers: Vec<Layer>) -> Self {
-        assert!(!layers.is_empty(), "no octave");
+        assert!(!layers.is_empty(), "there are no octaves");
         // Every coarser octave uses the clouds in its own wide cells.
         let coarser = (0..layers.len() as u32).rev();
         let with_levels = |(layer, coarser): (Layer, u32)| Layer {

@@ -27,9 +27,9 @@ impl SizedClouds {
     /// Morton order.
     #[must_use]
     pub fn finer_blocks(&self) -> FinerBlocks {
-        // The reach of the filter that averages sizes, in cells of an octave. It is larger than the
-        // reach of drops. The margin has the same number of cells, but of the next coarser octave,
-        // so it is twice as wide.
+        // `margin` is the reach of the filter that averages sizes, plus one wide cell, in cells of
+        // an octave. This reach is larger than the reach of drops. Below, the margin is counted in
+        // cells of the next coarser octave, so it is twice as wide.
         let wide = self.wide_cells();
         let margin = (averaging(wide).reach() + 1) << wide.level;
         let of_level = |level: usize| {
@@ -142,7 +142,8 @@ impl BlockLevels {
         let (Some(below), true) = (level.checked_sub(1), self.count() > 1) else {
             return Vec::new();
         };
-        // One more wide cell on each side, because the region was rounded to wide cells.
+        // The box is extended by one wide cell on each side, because the region was rounded to wide
+        // cells.
         let near = cells.in_narrower_cells(1).grown(2, 2);
         let mut children: Vec<IVec3> = CellBox::cube(region.block(), 2).cubes(1).collect();
         children.sort_unstable_by_key(|&block| MortonKey::of(block));
@@ -151,8 +152,8 @@ impl BlockLevels {
             let part = (1..8_u8).filter(|upper| wider >> upper & 1 == 0).fold(
                 CellBox::EMPTY,
                 |all, upper| {
-                    // The part of the block in which cells of both levels meet: along each axis on
-                    // which the two blocks differ, only the last layer of cells.
+                    // Cells of both levels meet in the last layer of the block's cells along each
+                    // axis on which the two blocks differ.
                     let own = CellBox::cube(block, BLOCK);
                     let is_last = |axis: usize| upper >> axis & 1 == 1;
                     let lo = [0, 1, 2]

@@ -16,7 +16,7 @@ pub const WHOLE: u32 = 1 << 15;
 /// If the densities are on different cells.
 #[must_use]
 pub fn share(part: &Block, all: &Block, of_none: u32) -> Block {
-    assert!(part.cells() == all.cells(), "one box of cells");
+    assert!(part.cells() == all.cells(), "both densities are on the same cells");
     let mut shares = Block::zero(all.cells());
     let taps = part.samples().iter().zip(all.samples());
     for (to, (&part, &all)) in shares.samples_mut().iter_mut().zip(taps) {
@@ -34,7 +34,7 @@ pub fn share(part: &Block, all: &Block, of_none: u32) -> Block {
 /// If the fields are on different cells.
 #[must_use]
 pub fn mixed(mut fine: Block, coarse: &Block, shares: &Block) -> Block {
-    assert!(fine.cells() == coarse.cells() && fine.cells() == shares.cells(), "one box of cells");
+    assert!(fine.cells() == coarse.cells() && fine.cells() == shares.cells(), "the same cells");
     let taps = coarse.samples().iter().zip(shares.samples());
     for (fine, (&coarse, &share)) in fine.samples_mut().iter_mut().zip(taps) {
         let share = i64::from(share);
@@ -99,7 +99,7 @@ impl OctaveDrops<'_> {
         let Self { octave, near, shares, certainty, sizes, drops, growth, stands_out } = *self;
         let cells = shares.cells();
         let mut others = [Some(near), certainty, sizes].into_iter().flatten();
-        assert!(others.all(|other| other.cells() == cells), "one box of cells");
+        assert!(others.all(|other| other.cells() == cells), "all fields are on the same cells");
         let width = cells.size().x as usize;
         for (row, ([y, z], near)) in near.rows(cells).enumerate() {
             if greatest_of(near) <= stands_out.begin() {

@@ -130,7 +130,7 @@ impl Octaves {
         // Particles below the finest size keep their volume.
         let volume = (size / self.finest).min(1.0);
         let volume = volume * volume * volume * ratio * ratio * ratio;
-        // The conversion to an integer rounds down, which is faster than a call.
+        // The conversion to an integer rounds down, and is faster than a call of `round`.
         let rounded = |x: f64| (x + 0.5) as u32;
         let amount = rounded(self.amount * volume).max(1);
         let fraction = if octave + 1 < self.count { log2(ratio) } else { 0.0 };

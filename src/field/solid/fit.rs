@@ -20,8 +20,9 @@ use super::WHOLE;
 /// The fit needs at least this share of its Gaussian outside the solid.
 const LEAST: f64 = 0.004;
 /// The variance that is added to the variances of the fitted positions, as a fraction of the
-/// Gaussian's variance. If all positions lie in a plane, it keeps the linear function nearly
-/// constant across the plane; if there are few positions, in all directions.
+/// Gaussian's variance. If all positions lie in a plane, this variance keeps the linear function
+/// nearly constant across the plane. If there are few positions, it keeps the function nearly
+/// constant in all directions.
 const STIFFNESS: f64 = 0.01;
 /// Number of different sums along x.
 const ALONG_X: usize = 5;
@@ -88,8 +89,8 @@ impl<'a> LinearFit<'a> {
         self.make_planes_around(cell.z);
         let CellBox { lo, .. } = self.greatest.cells();
         let index = (cell.y - lo.y) as usize * self.width() + (cell.x - lo.x) as usize;
-        // For the weights: the sum, and the first and second moments. For the densities: the sum
-        // and the first moments.
+        // `sum`, `first`, `square` and `product` are the sum and the first and second moments of
+        // the weights. `total` and `moment` are the sum and the first moments of the densities.
         let (mut sum, mut first) = (0.0, DVec3::ZERO);
         let (mut square, mut product) = (DVec3::ZERO, DVec3::ZERO);
         let (mut total, mut moment) = (0.0, DVec3::ZERO);

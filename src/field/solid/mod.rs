@@ -49,7 +49,8 @@ const MEAN_CUT: f64 = 2.2;
 const GAIN: u32 = 2;
 /// The share of a cell whose cloud lies completely outside the solid.
 pub const WHOLE: u16 = 1 << 15;
-/// Fluid counts as thick if it is thick anywhere within this distance, in spacings.
+/// The distance, in spacings, within which the maximum density shows whether the fluid around a
+/// cell is thick.
 const THICK_NEAR: f64 = 2.0;
 /// The range of the density under a Gaussian of [`BULK_WIDTH`] in which fluid begins to count as
 /// thick.
@@ -217,7 +218,7 @@ fn share_outside(distance: i16) -> u16 {
 /// # Panics
 /// If the field and the distances are on different cells.
 pub fn cut(field: &mut Block, distances: &Block<i16>, offset: i32, most: i16) {
-    assert_eq!(field.cells(), distances.cells(), "a field is cut on all of its cells");
+    assert_eq!(field.cells(), distances.cells(), "the distances are on the cells of the field");
     for (sample, &distance) in field.samples_mut().iter_mut().zip(distances.samples()) {
         if distance < most {
             let to_solid = ZERO + i32::from(distance) - offset;

@@ -19,7 +19,7 @@ use crate::particles::Bounds;
 const TARGETS: [f64; 3] = [48.0, 16.0, 6.0];
 /// Minimum number of interior cells for an estimate.
 const ENOUGH_CELLS: usize = 8;
-/// Maximum number of counting cells: in spray each particle occupies its own cell.
+/// Maximum number of counting cells. In spray, each particle can occupy its own cell.
 const MOST_CELLS: usize = 1 << 24;
 /// Maximum number of cells in the box around all particles for which counts are kept in a dense
 /// list. The list includes empty cells.
@@ -118,8 +118,8 @@ const ENOUGH_IN_CELL: usize = 4;
 const EVEN: f64 = 0.8;
 
 /// The spacings of two resolutions, from the counts of interior cells of edge `cell`. There must be
-/// two groups of cells with different counts, and fewer cells with counts in between: a fluid that
-/// thins out into spray has cells of every count.
+/// two groups of cells with different counts, and fewer cells with counts in between, because a
+/// fluid that thins out into spray has cells of every count.
 fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     counts.sort_unstable();
     let total: usize = counts.iter().sum();
@@ -129,7 +129,7 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
         below += count;
         2 * below >= total
     })?;
-    // The counts from `from` to `to` times `most`.
+    // `of` returns the counts from `from` to `to` times `most`.
     let of = |from: f64, to: f64| {
         let [from, to] = [from, to]
             .map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));

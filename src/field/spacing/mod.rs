@@ -31,8 +31,8 @@ pub use sample::{CubeSample, Cubes, EvenSample, FinishedSample, NeighbourSample}
 
 use sample::SHARE;
 
-/// The maximum number of particles that are held in memory for the estimate; an [`EvenSample`] can
-/// hold as many.
+/// The maximum number of particles that are held in memory for the estimate. An [`EvenSample`] can
+/// hold the same number.
 pub const ALL: usize = 2 * SHARE;
 /// If there are more particles than this, a small sample is enough to confirm a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
@@ -44,7 +44,8 @@ const MOST_SEARCHED: usize = 1 << 15;
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
-/// If an estimate fails and the coordinates are beyond this, their size is the reason.
+/// If an estimate fails and the middle of the particles has a coordinate of at least this
+/// magnitude, the error is [`NoEstimate::TooLarge`].
 const LARGEST: f64 = 1e100;
 /// The minimum share of deep particles; with a smaller share, the fluid is thin.
 const THIN: f64 = 0.15;

@@ -74,7 +74,7 @@ pub struct Neighbours {
     /// The median distances to the first four neighbours, among the most densely packed particles.
     pub nearest: Option<[f64; 4]>,
     /// The spacing from the density around particles that are surrounded by neighbours, and the
-    /// share of queried particles that are.
+    /// share of such particles among the queried particles.
     pub solid: Option<(f64, f64)>,
     /// The spacing from the density around each particle that is surrounded by neighbours, in
     /// ascending order.
@@ -259,7 +259,7 @@ impl Neighbours {
         agree(AGREED) && counted < most * by_third
     }
 
-    /// Whether the particles are placed randomly: fluids are not, but spray is.
+    /// Whether the particles are placed randomly, as in spray. Particles of a fluid are not.
     pub fn is_random(&self) -> bool {
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
     }

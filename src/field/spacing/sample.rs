@@ -180,7 +180,7 @@ impl Cubes {
         let scale = 1.0 / self.edge;
         // Cubes with coordinates beyond 2^31 are treated as one cube.
         let [x, y, z] = position.map(|c| (c * scale + 0.5).floor() as i32 as u32);
-        // The finalizer of MurmurHash3, so that adjacent cubes get unrelated numbers.
+        // This is the finalizer of MurmurHash3, which gives adjacent cubes unrelated numbers.
         let sum =
             x.wrapping_mul(0x9e37_79b1) ^ y.wrapping_mul(0x85eb_ca77) ^ z.wrapping_mul(0xc2b2_ae3d);
         let mixed = (sum ^ (sum >> 16)).wrapping_mul(0x85eb_ca6b);

@@ -187,7 +187,7 @@ fn random_positions_are_distinguished_from_a_fluid() {
             (0..count).map(|i| [0, 1, 2].map(|axis| coordinate(3 * i + axis))).collect();
         assert!(evidence(&random).unwrap().neighbours.is_random(), "{seed}");
     }
-    // Eight particles per cell, as FLIP seeds them.
+    // These particles are seeded eight per cell, as in FLIP.
     let seeded: Vec<[f64; 3]> = (0..27_000)
         .map(|i| {
             let cell = [i / 8 % 15, i / 120 % 15, i / 1800];

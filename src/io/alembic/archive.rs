@@ -3,18 +3,20 @@
 //!
 //! The children of the root group are the file version, the library version, the top object,
 //! metadata, time samplings, and the list of metadata that headers refer to by index. An object is
-//! a group: a compound property, the child objects, and a block with the headers of the child
-//! objects and two hashes. A compound property is a group: properties, and a block with the headers
-//! of these properties. A scalar property is a group of one block per sample. An array property is
-//! a group of two children per sample: the block, and the dimensions of the array if it has
-//! several. The block of a sample contains a digest of the values, followed by the values.
+//! a group that contains a compound property, the child objects, and a block with the headers of
+//! the child objects and two hashes. A compound property is a group that contains properties, and a
+//! block with the headers of these properties. A scalar property is a group with one block per
+//! sample. An array property is a group with two children per sample: the block of the sample, and
+//! the dimensions of the array if it has several. The block of a sample contains a digest of the
+//! values, followed by the values.
 
 use super::content_hash::{ContentHasher, Digest};
 use super::ogawa::{OgawaBlocks, OgawaChild};
 
 /// The version of the Alembic library that writes this format: 1.8.0.
 const LIBRARY_VERSION: i32 = 1_08_00;
-/// Time per cycle that marks a sampling as acyclic: it lists all of its times.
+/// Value of the time per cycle that marks a sampling as acyclic. An acyclic sampling lists all of
+/// its times.
 const ACYCLIC: f64 = f64::MAX / 32.0;
 /// Metadata index of a header that contains its own metadata instead of referring to the list.
 const NOT_LISTED: usize = 255;
@@ -277,8 +279,8 @@ fn put_header(
 struct MetadataList(Vec<String>);
 
 impl MetadataList {
-    /// The index of `metadata`: 0 for empty metadata, [`NOT_LISTED`] if it is long or the list is
-    /// full.
+    /// The index of `metadata`. The index is 0 for empty metadata, and [`NOT_LISTED`] if the
+    /// metadata is longer than 255 bytes or the list is full.
     fn index(&mut self, metadata: &str) -> usize {
         if metadata.is_empty() {
             return 0;

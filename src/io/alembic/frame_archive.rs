@@ -3,13 +3,14 @@
 //!
 //! Each frame is first written to a separate file, in a folder next to the archive. The bytes of
 //! this file are appended to the archive, followed by groups that list all frames so far. The last
-//! write replaces the position of the root group in the header. So a reader finds a complete
-//! archive at any time, even after a crash. Then the file of the frame is removed.
+//! write replaces the position of the root group in the header. Therefore, the archive is complete
+//! at any time, even after a crash. Then the file of the frame is removed.
 //!
 //! `archive.json` in the folder says where the frames are in the archive. It is replaced after the
 //! header has changed. The next addition first truncates the archive to the size in `archive.json`.
-//! The groups of earlier additions stay in the archive, unused. They take 16 bytes per frame and
-//! array. A frame that is computed again also leaves its old bytes in the archive.
+//! The groups of earlier additions stay in the archive, but are no longer used. The groups of one
+//! addition take 16 bytes for each array of each frame. A frame that is computed again also leaves
+//! its old bytes in the archive.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -138,7 +139,8 @@ impl FrameArchive {
     }
 
     /// Adds the frame in file `mesh.file` of the folder, and removes the file. Does nothing if the
-    /// folder has no such file of `mesh.bytes` bytes, because the frame was then added before.
+    /// folder contains no file `mesh.file` of `mesh.bytes` bytes, because an earlier call has then
+    /// added the frame.
     ///
     /// `times` must return the times of the given frames, in seconds and in frame order. An archive
     /// with a different `fingerprint` is replaced.

@@ -26,7 +26,7 @@ pub struct AbcArray {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum AbcSource {
     Positions,
-    /// The bounding box of the positions. Positions must be written before it.
+    /// The bounding box of the positions. The positions must be written before the box.
     Bounds,
     Corners,
     CornerCounts,

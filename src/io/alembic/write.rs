@@ -1,5 +1,5 @@
-//! Writes one mesh as an archive, piece by piece. Each array is encoded twice, the first time for
-//! its hash, which precedes the array in the file.
+//! Writes one mesh as an archive, piece by piece. Each array is encoded twice: first to compute its
+//! hash, which precedes the array in the file, and then to write its values.
 
 use std::io::{self, Write};
 use std::sync::{Mutex, PoisonError};
@@ -106,7 +106,8 @@ impl AbcArray {
             AbcSource::Normals => {
                 write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
             }
-            // The mesh stores the 32 bits of an integer in place of those of an f32.
+            // The mesh stores an integer as an f32 with the same 32 bits, so this also writes
+            // integers unchanged.
             AbcSource::Attribute(index) => {
                 write_floats(out, mesh, |vertices| &vertices.attributes[index])
             }

@@ -14,7 +14,8 @@
 //! | other values | 15-bit mantissas, and one exponent per vertex | 2^-14 of the vertex's largest component |
 //! | triangles | unchanged | |
 //!
-//! The grid is anchored at the origin, so that resting fluid does not flicker between frames.
+//! Grid points are at integer multiples of the step, so that resting fluid does not flicker between
+//! frames.
 
 mod document;
 mod view;

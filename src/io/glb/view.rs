@@ -135,9 +135,9 @@ fn names(attributes: &[AttributeInfo]) -> Vec<Option<String>> {
     attributes.iter().map(name).collect()
 }
 
-/// For each attribute that the file does not store under its own name in capitals after an
-/// underscore, its own name and its name in the file. Colours are left out, because they always
-/// have glTF's names.
+/// The attributes that the file renames, each with its original name and its name in the file. An
+/// attribute does not count as renamed if its name in the file is an underscore followed by its
+/// original name in capitals. Colours are left out, because they always have glTF's names.
 pub fn renamed(attributes: &[AttributeInfo]) -> Vec<[String; 2]> {
     let attributes = attributes.iter().zip(names(attributes));
     let plain = attributes.filter(|(info, _)| !info.kind.is_colour());

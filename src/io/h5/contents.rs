@@ -21,7 +21,7 @@ const LINES: usize = 20;
 /// Maximum number of members of a compound type that the summary lists.
 const MEMBERS: usize = 12;
 /// Prefix of the names of compound members in which pandas stores several columns each. The names
-/// of these columns are stored only in Python's pickle format, which is not read.
+/// of these columns are stored only in Python's pickle format, which this reader does not support.
 const PANDAS: &str = "values_block_";
 /// Maximum length of a name in characters.
 const LETTERS: usize = 100;
@@ -33,11 +33,11 @@ const LETTERS: usize = 100;
 pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     let (lines, more) = lines(root)?;
     let mut what = "no positions found. Store float32 or float64 in a data set called position, \
-                    pos or x, of shape (N, 3), (3, N) or (frames, N, 3), or in three called x, y \
-                    and z, of shape (N,)."
+                    pos or x, of shape (N, 3), (3, N) or (frames, N, 3), or in three data sets \
+                    called x, y and z, of shape (N,)."
         .to_owned();
     if lines.iter().any(|line| line.contains(PANDAS)) {
-        what += " A pandas table needs data_columns=True, or its columns have no names.";
+        what += " Write a pandas table with data_columns=True, so that its columns have names.";
     }
     what += " The file contains";
     match lines.is_empty() {

@@ -19,7 +19,8 @@ use super::table::{H5Array, RowPart, scalar};
 /// Maximum size, in bytes, of the cache of decoded chunks. The cache serves repeated reads of rows
 /// in the same chunk.
 const CHUNKS: u64 = 16 << 20;
-/// A read of at least this number of bytes releases the memory of the bytes that it has read.
+/// Minimum size, in bytes, of a read after which the memory of the bytes that were read is
+/// released.
 const LARGE: usize = 64 << 10;
 
 /// An open file. All of its data sets must be dropped before [`into_bytes`](Self::into_bytes).
@@ -71,11 +72,11 @@ impl<'a> H5File<'a> {
     /// Returns the file's bytes, from which columns can be read in place.
     pub fn into_bytes(self) -> Bytes {
         drop(self.hdf);
-        Arc::into_inner(self.bytes).expect("the library has let go of the file")
+        Arc::into_inner(self.bytes).expect("all data sets were dropped")
     }
 
-    /// Byte offset in the file of a data set's rows, which have `bytes` bytes. `None` unless they
-    /// are contiguous and uncompressed.
+    /// Byte offset in the file of a data set's rows, which take `bytes` bytes in total. `None` if
+    /// the rows are not contiguous in this file, or if a filter encodes them.
     pub fn place(&self, set: &Dataset, bytes: u64) -> Option<u64> {
         let header = self.hdf.get_or_parse_header(set.address()).ok()?;
         let elsewhere = |message: &HdfMessage| {

@@ -195,9 +195,10 @@ impl GroupSearch {
 
     /// Returns one candidate, and the names of all candidates.
     ///
-    /// The candidate is the one that a condition names, or else the only one, or else `PartType0`,
-    /// or else the only one that is called fluid or gas. Its name comes first in the list. The list
-    /// is empty if there is only one candidate and no condition names it.
+    /// This function chooses the only candidate, or the candidate that a condition names. If there
+    /// are several candidates and no condition names one, it chooses `PartType0`, or else the only
+    /// candidate that is called fluid or gas. The name of the chosen candidate comes first in the
+    /// list. The list is empty if there is only one candidate and no condition names it.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there is no candidate (the message lists the contents of

@@ -137,8 +137,8 @@ pub fn open_particles(
             });
             read.map_err(|fault| ReadError::new(piece, fault))
         };
-        // Reads all files before it returns, so that the error is always that of the first faulty
-        // piece.
+        // Reads all files before it returns, so that it always returns the error of the first
+        // faulty piece.
         let all: Vec<_> = paths.par_iter().enumerate().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
         let filled = all.iter().find(|file| !file.particles.is_empty());

@@ -95,8 +95,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     }
     let search = GroupSearch::of(&root, file)?;
     let several = search.candidates.iter().filter(|c| c.frames().is_some_and(|frames| frames > 1));
-    // Only counts frames, so several groups of particles are no error here. Reading a frame fails
-    // if it is unclear which group to read.
+    // This function only counts frames, so several groups of particles are not an error here.
+    // Reading a frame fails if it is unclear which group to read.
     let Some(longest) = several.max_by_key(|candidate| candidate.frames()) else {
         return Ok(Vec::new());
     };
@@ -105,7 +105,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// The groups that contain one frame each, sorted by number. These are the groups of H5Part, or
-/// else numbered groups that contain positions and have the same parent.
+/// else numbered groups with the same parent, if the first of them contains positions.
 fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = checked(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());

@@ -84,7 +84,8 @@ impl H5Array {
         self.components as u64 > MOST_COMPONENTS
     }
 
-    /// An array in which each row is a part of the row with the same number in a data set.
+    /// An array of `rows` rows with `components` numbers each. `part` says which numbers of the
+    /// data set form a row.
     pub fn of(
         set: Arc<Dataset>,
         name: String,
@@ -123,7 +124,7 @@ impl H5Array {
             let Self { name, rows: all, .. } = &self;
             return Err(malformed(
                 0,
-                format!("{rows} rows from {first} on of the {all} of {name}"),
+                format!("{name} has {all} rows, expected {rows} rows from row {first} on"),
             ));
         }
         Ok(Self { first: self.first + first, rows, ..self })
@@ -534,8 +535,8 @@ impl H5Table {
         let wanted = || arrays.iter().zip(&used).filter(|(_, used)| **used).map(|(array, _)| array);
         let in_file = rows == 0 || wanted().all(|array| array.in_place(&file).is_some());
         let mut decoded = UnpackBuffer::new(file.unpacking);
-        // Start of the decoded rows of each data set, by address. All arrays that are members of a
-        // data set share these rows.
+        // For the address of each data set, the start of its decoded rows. All arrays that are
+        // members of the same data set share these rows.
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();
         for (array, used) in arrays.iter().zip(used) {
@@ -583,7 +584,8 @@ pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
 }
 
 /// The chosen type of particles: the type that a condition names, or else the only type, or else
-/// `usual`, or else the only type with one of the names [`FLUIDS`], in any case.
+/// `usual`, or else the only type with one of the names [`FLUIDS`]. The comparison with these names
+/// ignores case.
 pub(super) fn chosen_type(
     known: &[String],
     wanted: &[Where],
@@ -605,7 +607,8 @@ pub(super) fn chosen_type(
     }
 }
 
-/// The only type that is called a fluid. The last component counts if names are paths.
+/// The only type with one of the names [`FLUIDS`]. If a type's name is a path, only its last
+/// component is compared.
 fn only_fluid(known: &[String]) -> Option<&str> {
     let is_fluid = |name: &&String| {
         let name = last_name(name);

@@ -217,7 +217,7 @@ fn decompress(codec: Codec, packed: &[u8], out: &mut [u8]) -> Option<usize> {
 /// Decompresses BloscLZ data, which consists of literals and matches, as in FastLZ.
 fn blosc_lz(mut packed: &[u8], out: &mut [u8]) -> Option<usize> {
     let mut at = 0;
-    // The first control byte is always that of a literal, so its upper bits have another meaning.
+    // The first control byte always starts a literal, so its upper bits have another meaning.
     let mut control = next(&mut packed)? & 0x1f;
     loop {
         if control < 32 {

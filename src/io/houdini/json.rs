@@ -113,7 +113,7 @@ impl Nesting {
     pub fn end(&mut self, begun: &JsonEvent) -> Result<JsonEvent, String> {
         match self.0.pop() {
             Some(open) if open == *begun => Ok(JsonEvent::End),
-            _ => Err("a list or map ends that did not begin".to_owned()),
+            _ => Err("found the end of a list or map without its start".to_owned()),
         }
     }
 }
@@ -153,7 +153,7 @@ macro_rules! numbers {
     ($($scalar:ident $type:ident $number:ident),*) => {
         impl Storage {
             /// The number at `index` in the bytes `stored`.
-            #[allow(clippy::cast_lossless)] // One line for all types, including u64.
+            #[allow(clippy::cast_lossless)] // In contrast to `from`, `as` also converts u64.
             fn number(self, stored: &[u8], index: usize, endian: Endian) -> JsonNumber {
                 match self {
                     Self::Bits => {

@@ -156,7 +156,7 @@ impl OpenedGeometry {
             }
         };
         view.check()?;
-        // A file whose pages are constant can announce any number of points, so this check bounds
+        // A small file with constant pages can announce any number of points, so this check limits
         // the number.
         if geometry.points > unpacked_limit(view.len() as u64) / POSITION {
             let what = format!(

@@ -288,7 +288,7 @@ impl<'a> UnpackedColumns<'a> {
         let needed = self.points.checked_mul(stride as u64).filter(|bytes| *bytes <= self.left);
         self.left -= needed.ok_or_else(|| {
             let what = format!(
-                "attribute {name} of {} points is larger than a file of {} bytes unpacks to",
+                "attribute {name} of {} points is too large for a file of {} bytes",
                 self.points,
                 self.stores.document.len()
             );

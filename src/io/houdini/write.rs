@@ -234,7 +234,8 @@ impl PointArray {
                         let words = vertices.attributes[index].iter();
                         words.for_each(|&word| out.extend(kind.whole(word).to_le_bytes()));
                     })?,
-                    // The mesh stores the 32 bits of an integer in place of those of an f32.
+                    // The mesh stores an integer as an f32 with the same 32 bits, so this also
+                    // writes 32-bit integers unchanged.
                     _ => write_floats(out, mesh, |vertices| &vertices.attributes[index])?,
                 }
             }
@@ -312,7 +313,8 @@ mod tests {
         let positions = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
         let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
         let mut bytes = Vec::new();
-        write_document(&mut bytes, &mesh, CoordinateWidth::F32).expect("memory takes all");
+        write_document(&mut bytes, &mesh, CoordinateWidth::F32)
+            .expect("writing to memory succeeds");
         let corners: Vec<u8> = [0_u32, 2, 1].iter().flat_map(|i| i.to_le_bytes()).collect();
         assert!(bytes.windows(corners.len()).any(|window| window == corners));
     }

@@ -105,8 +105,8 @@ struct MapWindow {
 }
 
 impl MapWindow {
-    /// Counts accessed bytes, and releases the map's memory once there are many. Must be called
-    /// after every access.
+    /// Counts accessed bytes, and releases the map's memory after more than [`RELEASED`] bytes.
+    /// Must be called after every access.
     fn looked_at(&self, bytes: u64) {
         if self.looked_at.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
             self.looked_at.store(0, Ordering::Relaxed);
@@ -247,7 +247,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
         return Err(ReadFault::Unsupported(what.into()));
     }
     if sizes.is_some() != (version == SIZES_VERSION) {
-        let what = format!("version {version} of packed frames with the flags of another version");
+        let what = format!("the frame has version {version}, but the flags of another version");
         return Err(malformed(footer, what));
     }
     let index = (window.bytes.len() - TAIL).checked_sub(cursor.at());
@@ -277,7 +277,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
             return Err(malformed(at, "the pages are not in order"));
         }
         if entry.offset != end || entry.length > footer as u64 - end {
-            return Err(malformed(at, "a page is not where the one before it ends"));
+            return Err(malformed(at, "a page does not start where the one before it ends"));
         }
         end += entry.length;
         infos.push(entry.info);
@@ -303,7 +303,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
         return Err(malformed(
             footer,
-            format!("more full cells than particles make: {full_cells}"),
+            format!("there are more full cells than particles can fill: {full_cells}"),
         ));
     }
     let pages = MappedPages { window, shape, first, bricks, fields, checksums };
@@ -399,7 +399,7 @@ fn read_facts(
     };
     let mut particles = || {
         let count = cursor.u64("a number of particles")?;
-        usize::try_from(count).map_err(|_| fault(&format!("{count} particles")))
+        usize::try_from(count).map_err(|_| fault(&format!("{count} particles are too many")))
     };
     let census = Census {
         binned: particles()?,
@@ -415,7 +415,8 @@ fn read_facts(
     let sizes = match flags & SIZES {
         0 => None,
         _ if indicator != Indicator::Cloud => {
-            return Err(fault(&"particles of several sizes with another indicator than cloud"));
+            let what = "particles of several sizes need the indicator cloud, not another indicator";
+            return Err(fault(&what));
         }
         _ => Some(read_sizes(cursor, &facts)?),
     };
@@ -434,10 +435,10 @@ fn read_sizes(cursor: &mut Cursor<'_>, facts: &FrameFacts) -> Result<SizeFacts, 
         widest.into_iter().flatten().all(|length| length.is_finite() && length > 0.0)
     };
     let octaves = octaves.filter(are_lengths);
-    let octaves = octaves.ok_or_else(|| malformed(at, "no sizes of particles"))?;
+    let octaves = octaves.ok_or_else(|| malformed(at, "the sizes of the particles are invalid"))?;
     let density = Some(density).filter(|&density| density != 0.0);
     if density.is_some_and(|density| !DENSITIES.contains(&density)) {
-        return Err(malformed(at, "no density of particles"));
+        return Err(malformed(at, "the density of the particles is invalid"));
     }
     Ok(SizeFacts { octaves, coarsest, density })
 }
@@ -454,7 +455,7 @@ fn read_periodic(cursor: &mut Cursor<'_>, grid: &Grid) -> Result<Periodic, ReadF
         Ok(reach @ 0..CELL_LIMIT) if zero == 0 => {
             Periodic::new(grid, faces, reach).map_err(|e| malformed(at, e.to_string()))
         }
-        _ => Err(malformed(at, "no periodic box")),
+        _ => Err(malformed(at, "the periodic box is invalid")),
     }
 }
 
@@ -494,7 +495,8 @@ fn read_entry(
     let local = CellBox { lo: corner()?, hi: corner()? };
     let field = cursor.u16("a page's field")?;
     if u32::from(field) >= fields {
-        return Err(malformed(at, format!("a page of field {field} of {fields}")));
+        let what = format!("a page refers to field {field} of {fields}, counted from 0");
+        return Err(malformed(at, what));
     }
 
     let coord = key.coord();

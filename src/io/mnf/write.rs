@@ -198,7 +198,7 @@ fn compress<'a, P>(
     shape: PageShape,
 ) -> io::Result<CompressedPages> {
     let mut compressor = Compressor::new(LEVEL)?;
-    // The index implies the unpacked size of each page.
+    // The index implies the unpacked size of each page, so the page does not store it.
     compressor.set_parameter(CParameter::ContentSizeFlag(false))?;
     let mut compressed =
         CompressedPages { bytes: Vec::new(), parts: Vec::with_capacity(pages.len()) };

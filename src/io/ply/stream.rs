@@ -134,7 +134,7 @@ impl MeshSource for StreamedMesh {
             .with(bytes.clone(), |bytes| bytes.as_chunks().0.iter().map(corners).collect());
         self.faces.check().map_err(unread)?;
         triangles.ok_or_else(|| {
-            let what = "faces are no triangles; a mesh of other faces is read as a whole";
+            let what = "some faces are not triangles, so the mesh cannot be read piece by piece";
             io::Error::new(io::ErrorKind::InvalidData, malformed(bytes.start, what))
         })
     }

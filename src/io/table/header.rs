@@ -207,7 +207,7 @@ fn numbered_after(line: &str) -> Vec<String> {
 /// Lists of the names in a line such as `rho vel pos` or `rho, v[3], x[3]`, in which a name stands
 /// for all components of a vector. Each list says whether all of its names are well known. In a
 /// second list, short names also stand for vectors, as in `rho v x`, provided that all names are
-/// well known. There is no list if the line names no vector.
+/// well known. Returns no list if the line names no vector.
 fn vectors_in(line: &str) -> Vec<(Vec<String>, bool)> {
     if line.len() > LONGEST_NAMES {
         return Vec::new();
@@ -371,7 +371,7 @@ fn is_word_of(words: &[&str], word: &str) -> bool {
 }
 
 /// Whether all texts in a comment can be names of columns. A unit, a number, a word of a sentence,
-/// or a title such as `positions` is no name.
+/// or a title such as `positions` is not a name.
 fn are_names(texts: &[String]) -> bool {
     texts.iter().all(|text| {
         text.contains(char::is_alphabetic)
@@ -389,7 +389,7 @@ pub fn comment_text(comment: &[u8]) -> Cow<'_, str> {
     String::from_utf8_lossy(&comment[marks..])
 }
 
-/// The comments above the rows, and the other lines above the rows that are no rows themselves.
+/// The comments above the first row, and the other lines above it that are not rows.
 #[derive(Debug, Default)]
 pub struct Comments<'a> {
     lines: VecDeque<Comment<'a>>,
@@ -467,9 +467,9 @@ impl<'a> Comments<'a> {
     /// but do not fit rows with this number of `fields`. Without these lines, the position starts
     /// at the column `first`.
     ///
-    /// A table without names is read as x, y and z, and unnamed columns. This is wrong if a line
-    /// names the columns in another order, and the reader does not understand it. Sentences about
-    /// x, y and z are harmless, if x is the first column that they mention.
+    /// A table without names is read as x, y and z, followed by unnamed columns. This is wrong if a
+    /// line that the reader does not understand names the columns in another order. Sentences about
+    /// x, y and z are harmless if x is the first column that they mention.
     pub fn unclear(&self, fields: usize, first: Option<usize>) -> Option<ReadFault> {
         let block: Vec<&Comment> =
             self.lines.iter().filter(|comment| comment.line >= self.last_title).collect();
@@ -550,7 +550,7 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     if lists.peek().is_some() {
         return !lists.any(|mention| mention.agrees(fields, first));
     }
-    // A position of three columns needs no names.
+    // Rows with three fields contain only the position, so its columns need no names.
     if fields == 3 {
         return false;
     }
@@ -599,9 +599,14 @@ fn calls_x_otherwise(text: &str, fields: usize, first: Option<usize>) -> bool {
 /// Whether a text consists only of known names, and starts with other columns than the position. An
 /// identifier before the position is allowed if the position starts at the column `first`.
 ///
-/// Two names can be a title, such as `Material positions`, so they must account for all `fields`
-/// unless both are vectors. Names without a position must also account for all `fields`. So must
-/// names whose position is a single letter, such as `m r`, unless all of them are vectors.
+/// The names must account for all `fields`, or for all fields from the column `first` on, in these
+/// cases:
+///
+/// - No name is a position.
+/// - There are only two names, which can be a title, such as `Material positions`.
+/// - A single letter stands for a vector, as in `m r`.
+///
+/// The last two cases do not apply if all names are vectors.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
@@ -667,8 +672,9 @@ fn is_unclear_list(comments: &[&Comment], fields: usize, first: Option<usize>) -
     mentions.peek().is_some() && !mentions.any(|mention| mention.agrees(fields, first))
 }
 
-/// The place of words for x, y and z in a text. `None` if it does not contain them, or if numbers
-/// or words of a sentence separate them, as in `x 0 1, y 0 1, z 0 1`.
+/// The order of the words for x, y and z in a text. `None` if the text does not contain them, if
+/// numbers or words of a sentence separate them, as in `x 0 1, y 0 1, z 0 1`, or if the text is
+/// about values or axes instead of columns.
 fn mention_in_sentence(text: &str) -> Option<Mention> {
     let words = words_of(text);
     let axes = words.iter().enumerate().filter(|(_, word)| axis_of(word).is_some());
@@ -729,8 +735,8 @@ fn has_words(comment: &str) -> bool {
     bracketed(comment).any(|(_, after)| after.contains(char::is_alphabetic))
 }
 
-/// The words and numbers of a text, without column numbers and units. Units are brackets that name
-/// no axis.
+/// The words and numbers of a text, without column numbers and units. The text in brackets is a
+/// unit if it does not name an axis.
 fn words_of(text: &str) -> Vec<&str> {
     let mut words = Vec::new();
     for (inside, after) in bracketed(text) {

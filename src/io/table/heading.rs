@@ -61,7 +61,7 @@ struct FirstRow<'a> {
     content: &'a [u8],
 }
 
-/// The lines above the first row, as far as they matter.
+/// The lines above the first row that help to find its columns.
 #[derive(Default)]
 struct LinesAbove<'a> {
     comments: Comments<'a>,

@@ -2,9 +2,9 @@
 //! with the position first.
 //!
 //! The first rows determine the separator of fields and the decimal separator. A line that names
-//! `x`, `y` and `z` (see [`names`]) specifies the columns, even if it is a comment. Lines above it
-//! are skipped, and so is a line of units below it. A comment that names the columns in a notation
-//! that is not understood is an error.
+//! `x`, `y` and `z` (see [`names`]) specifies the columns, even if it is a comment. The lines above
+//! it and a line of units below it are skipped. It is an error if a comment seems to name the
+//! columns in a notation that the reader does not support.
 //!
 //! Without such a line, the first three columns are the position, or the three columns after a row
 //! number. It is an error if these columns may contain identifiers or types. The other columns are
@@ -60,7 +60,7 @@ pub(super) struct TextTable {
     /// The number of rows, if the file announces it.
     pub count: Option<u64>,
     /// The number at the start of the first row. If this number of rows follows, the first row is
-    /// no particle.
+    /// not a particle.
     pub announced: Option<u64>,
     /// The simulation box, if coordinates are fractions of its edges.
     pub cell: Option<Cell>,

@@ -3,7 +3,8 @@
 use crate::io::UnreadPart;
 use crate::io::names::Quantity;
 
-/// Names of the column that contains the time or the number of a frame. `T` may be a temperature.
+/// Names of the column that contains the time or the number of a frame, compared without regard to
+/// case. The name `t` is not in this list, because `T` may be a temperature.
 const NAMES: [&str; 4] = ["time", "frame", "step", "timestep"];
 /// Maximum number of frames. A column with more different numbers has a time for each particle.
 const MOST_FRAMES: usize = 1 << 16;

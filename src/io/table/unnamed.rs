@@ -13,7 +13,8 @@ use super::fields::{
 const SAMPLED_ROWS: usize = 256;
 /// Maximum number of columns that are sampled.
 const SAMPLED_COLUMNS: usize = 16;
-/// Number of rows in which coordinates rarely have a pattern by accident.
+/// Minimum number of rows in a large sample. In a large sample, coordinates rarely have a pattern
+/// by accident.
 const MANY_ROWS: usize = 16;
 /// Number of lines that must have the same layout so that a line that starts with words is a row,
 /// not a title.
@@ -274,8 +275,9 @@ impl Sample {
 
     /// Distinguishes identifiers, types and flags from coordinates.
     ///
-    /// Each rule needs evidence that a column is not a coordinate. Whole numbers alone are no
-    /// evidence: x is whole in a lattice, and constant in a plane. The evidence is as follows.
+    /// Each rule needs evidence that a column is not a coordinate. Whole numbers alone are not
+    /// evidence, because x can be whole in a lattice, and constant in a plane. The evidence is as
+    /// follows.
     ///
     /// - An identifier has a different whole number in each row. Coordinates of particles repeat,
     ///   because particles with the same x differ in y or z.
@@ -352,7 +354,7 @@ impl Sample {
         (0..self.rows).map(tuple).collect::<HashSet<_>>().len()
     }
 
-    /// Whether a number of different texts is small compared to the number of rows.
+    /// Whether a number of different values is small compared to the number of rows.
     fn is_small(&self, distinct: usize) -> bool {
         4 * distinct < 3 * self.rows
     }
@@ -361,7 +363,7 @@ impl Sample {
     /// lattice.
     fn starts_with_lattice(&self, count: usize) -> bool {
         let columns = &self.columns[..count];
-        // In a large lattice of small cells, each coordinate of a sampled row may be different.
+        // In a large lattice of small cells, no coordinate needs to repeat in the sampled rows.
         let has_repeating = || columns.iter().any(|column| self.is_small(column.distinct()));
         let has_identifier = (0..2).any(|column| self.is_identifier(column));
         !self.is_small(self.distinct(0..count))

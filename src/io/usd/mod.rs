@@ -47,9 +47,9 @@ enum UsdValues {
 
 /// The properties of a mesh with `attributes`, in the order in which a layer stores them.
 ///
-/// Except for `uint[]`, Blender reads all types that are used here. It reads no `float4[]`, and no
-/// arrays with several elements per vertex, so an attribute with another number of components has
-/// one property per component.
+/// Except for `uint[]`, Blender reads all types that are used here. It does not read `float4[]` or
+/// arrays with several elements per vertex, so an attribute that fits none of the types has one
+/// property per component.
 fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdProperty> {
     let plain = |name: &str, kind, values| UsdProperty {
         name: name.into(),
@@ -111,10 +111,10 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
     all
 }
 
-/// For each property that the file does not store under its expected name, the expected name and
-/// the name in the file. The expected name is the attribute's name, followed by the number of the
-/// component if components are stored separately. The velocity and the first colour are left out,
-/// because they have the names of USD.
+/// The properties that the file renames, each with its expected name and its name in the file. The
+/// expected name is the attribute's name, followed by the number of the component if components are
+/// stored separately. The velocity and the first colour are left out, because USD prescribes their
+/// names.
 pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 2]> {
     let colour = colour_attribute(attributes);
     let differs = |UsdProperty { name, values, .. }: UsdProperty| {

@@ -13,7 +13,7 @@ use super::{PRIM, properties};
 /// layer is shown from its time code to the time code of the next layer.
 ///
 /// Paths of layers are relative to the stage. The stage begins and ends at whole time codes,
-/// because programs show no others.
+/// because programs show only whole time codes.
 pub fn stage(
     clips: &[(f64, String)],
     manifest: &Manifest,
@@ -80,7 +80,7 @@ impl Manifest {
                 format!(" (\n        interpolation = \"{how}\"\n    )")
             });
             writeln!(text, "    {} {}{interpolation}", property.kind, property.name)
-                .expect("memory takes all");
+                .expect("writing to memory succeeds");
         }
         text
     }

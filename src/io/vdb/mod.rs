@@ -7,8 +7,8 @@
 //!
 //! The voxels are the cells of the particles' grid. An attribute with one component is stored as a
 //! float grid or, if it contains integers, as an int32 or int64 grid. An attribute with three
-//! floating-point components is stored as a vec3s grid. So is the first colour, without its alpha.
-//! Other attributes have one grid per component.
+//! floating-point components is stored as a vec3s grid. The first colour is also stored as a vec3s
+//! grid, without its alpha. Other attributes have one grid per component.
 //!
 //! Distances, velocities and colours are stored in half precision if their range allows it. This
 //! changes a distance by less than 0.002 voxels. Only values in the band are stored. With
@@ -105,7 +105,8 @@ struct GridWriter<'a> {
 ///
 /// # Errors
 /// The errors of `mesh`, `out` and [`LevelSet::new`], and [`io::ErrorKind::InvalidInput`] for a
-/// mesh with triangles but without a lattice. The last two occur before anything is written.
+/// mesh with triangles but without a lattice. The errors of [`LevelSet::new`] and the error for the
+/// missing lattice occur before anything is written.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
     let outline = mesh.outline();
     let lattice = lattice_of(&outline).ok_or_else(|| {

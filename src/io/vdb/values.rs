@@ -108,10 +108,11 @@ impl Kind {
     }
 }
 
-/// Appends a record of which inactive values of a node are inside the surface.
+/// Appends a record that says which inactive values of a node are inside the surface.
 ///
-/// Of `all` inactive values, `inside` are inside. The mask `outside` has a set bit for each value
-/// outside, and is appended if there are values on both sides.
+/// `all` is the number of inactive values, and `inside` is the number of those that are inside. The
+/// mask `outside` has a set bit for each value outside, and is appended if there are values on both
+/// sides.
 pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outside: &[u64]) {
     match inside {
         _ if !kind.has_sides() => out.push(OUTSIDE),
@@ -137,7 +138,7 @@ pub fn put_zipped(out: &mut Vec<u8>, bytes: &[u8]) {
         encoder.write_all(bytes)?;
         encoder.finish()
     };
-    let zipped = zipped().expect("memory does not fail");
+    let zipped = zipped().expect("writing to memory succeeds");
     if zipped.len() < bytes.len() {
         out.extend((zipped.len() as i64).to_le_bytes());
         out.extend(zipped);

@@ -8,8 +8,8 @@ use crate::io::scan::{Lines, Scanner};
 use crate::io::vertices::integer;
 use crate::io::{ReadFault, malformed};
 
-/// Maximum number of components of an array without values. The size of the file does not limit
-/// this number, because the array takes no bytes. A tensor has 9 components.
+/// Maximum number of components of an array without tuples, which is the number of components of a
+/// tensor. The size of the file does not limit this number, because the array takes no bytes.
 const MOST_OF_NOTHING: usize = 9;
 
 /// The sections of a file that the reader uses.
@@ -21,7 +21,7 @@ pub(super) struct VtkLayout {
     pub attributes: Vec<VtkArray>,
     /// Index, in `attributes`, of the array that `NORMALS` contains.
     pub normals: Option<usize>,
-    /// Names of text arrays, which have values for points or for anything else.
+    /// Names of all text arrays, including those of cells and of the whole file.
     pub texts: Vec<String>,
     /// The last `VERTICES` section.
     pub vertices: Option<CellCorners>,
@@ -70,11 +70,11 @@ pub(super) enum CellKind {
 
 #[derive(Debug)]
 pub(super) enum CellCorners {
-    /// Before version 5: a record for each of `cells` cells, with its number of corners and the
-    /// corners.
+    /// The form before version 5, with a record for each of `cells` cells. A record contains the
+    /// number of corners, followed by the corners.
     Counted { cells: usize, stream: VtkArray },
-    /// Since version 5: an array of offsets and an array of corners. Cell i has the corners from
-    /// offset i to offset i + 1.
+    /// The form since version 5, with an array of offsets and an array of corners. Cell i has the
+    /// corners from offset i to offset i + 1.
     Offsets { offsets: VtkArray, connectivity: VtkArray },
 }
 
@@ -515,8 +515,8 @@ impl<'a> LayoutParser<'a> {
         Ok(())
     }
 
-    /// Skips `METADATA` up to an empty line. The names of components follow one per line, and may
-    /// be empty.
+    /// Skips `METADATA` up to an empty line. After `COMPONENT_NAMES`, each component has a line
+    /// with its name, which may be empty.
     fn metadata(&mut self) -> Result<(), ReadFault> {
         loop {
             match self.lines.line()?.as_deref().map(str::trim) {

@@ -225,7 +225,8 @@ fn refuse_little_endian(bytes: ByteView, points: &VtkArray) -> Result<(), ReadFa
         }
         _ => return Ok(()),
     };
-    // A few particles may have flown far away, or lie within rounding of a plane through 0.
+    // A few particles may have flown far away, or may have a coordinate that differs from 0 only by
+    // a rounding error.
     let far = |numbers: &[f64]| numbers.iter().filter(|number| !is_length(**number)).count();
     if big.len() >= FEWEST && far(&big) > big.len() / 4 && far(&little) < big.len() / 8 {
         let what = "the positions look little-endian, but a binary legacy .vtk must be big-endian; \
@@ -351,8 +352,8 @@ pub(super) fn not_ghosts(
     };
     let (cells, mut all_vertices) = (corners.cells(), true);
     let points = match corners {
-        // Each cell has two numbers: its number of points, which must be 1, and its point. So
-        // numbers of points have even indices.
+        // Each cell has two numbers: its number of points, which must be 1, and the index of its
+        // point. Therefore, the numbers at even indices are numbers of points.
         CellCorners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {

@@ -381,7 +381,7 @@ impl StoredArray<'_> {
             }
             _ => {
                 let what =
-                    format!("array {} expands to too many bytes for its size", self.array.name);
+                    format!("array {} is too large for the size of this file", self.array.name);
                 Err(ReadFault::Compression(what))
             }
         };
@@ -521,8 +521,9 @@ impl StoredArray<'_> {
         Ok(ControlFlow::Continue(()))
     }
 
-    /// Returns an error if 4 bytes are left in the element of an array whose length takes 4 bytes
-    /// according to the file. Some programs write lengths of 8 bytes without declaring them.
+    /// Returns an error if the file declares lengths of 4 bytes, and exactly 4 bytes are left in
+    /// the array's element after its data. Some programs write lengths of 8 bytes without declaring
+    /// them.
     fn expect_end(&self, stream: &mut dyn Read) -> Result<(), ReadFault> {
         let DataLocation::Base64(ref text) = self.array.data else { return Ok(()) };
         if self.layout.header != Scalar::U32

@@ -42,8 +42,7 @@ pub(super) enum DataLocation {
     Base64(Range<usize>),
     /// A header of lengths, followed by the numbers, as raw bytes that start at this byte.
     Raw(u64),
-    /// An offset into the appended data. Where the appended data begin in the file is not known
-    /// yet.
+    /// An offset into the appended data, whose position in the file is not known yet.
     Appended(u64),
 }
 

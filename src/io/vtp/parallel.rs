@@ -45,7 +45,7 @@ pub fn open_particles(
         true => open_piece(path, share).map(Some),
         false => Ok(None),
     };
-    // Reads all pieces before it returns, so that the error is always that of the first faulty
+    // Reads all pieces before it returns, so that it always returns the error of the first faulty
     // piece.
     let read: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = read.into_iter().collect::<Result<Vec<_>, _>>()?;
@@ -269,7 +269,7 @@ impl List {
         })?;
         let format = format.ok_or_else(|| malformed(0, "the file has no <VTKFile>"))?;
         if files.is_empty() {
-            return Err(malformed(0, "names no pieces"));
+            return Err(malformed(0, "the list names no pieces"));
         }
         Ok(Self { files, format })
     }

@@ -25,10 +25,11 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// Raw appended arrays of a single piece are read in place. If there are several pieces, or any
 /// array is text, base64 or compressed, all arrays are decoded.
 ///
-/// Every numeric array in `PointData` that all pieces have becomes an attribute. So does every
-/// array in `CellData` if cell i is a vertex at point i, and if there is one cell per point. An
-/// array in `FieldData` with one of the names [`TIMES`](crate::io::names::TIMES) gives the time. A
-/// point is left out if `CellData` flags its vertex cells as copies or hidden.
+/// Every numeric array in `PointData` that all pieces have becomes an attribute. Arrays in
+/// `CellData` that all pieces have also become attributes if cell i is a vertex at point i, and if
+/// there is one cell per point. An array in `FieldData` with one of the names
+/// [`TIMES`](crate::io::names::TIMES) gives the time. A point is left out if `CellData` flags all
+/// of its vertex cells as copies or hidden.
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] if a cell has an area or a volume, [`ReadFault::Truncated`] and

@@ -101,12 +101,12 @@ impl PartInput {
         reading
     }
 
-    /// Whether nothing is read.
+    /// Whether the part reads no particles.
     pub(super) fn is_empty(&self) -> bool {
         self.ranges.is_empty()
     }
 
-    /// The number of particles that are read.
+    /// The number of particles that the part reads.
     pub(super) fn count(&self) -> usize {
         self.ranges.iter().map(Range::len).sum()
     }
@@ -141,7 +141,7 @@ impl TryFrom<String> for BinnedChunk {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
-        let no_chunk = || format!("no chunk of the input: {text:?}");
+        let no_chunk = || format!("invalid chunk of the input: {text:?}");
         let words: Vec<&str> = text.split(' ').collect();
         let number = |word: &str| word.parse().map_err(|_| no_chunk());
         let coordinate = |word: &&str| word.parse::<i32>().map_err(|_| no_chunk());

@@ -9,8 +9,8 @@
 //! end                                         64 bytes: counts of the above, plan, part, CRC-32
 //! ```
 //!
-//! Numbers have the machine's byte order: a machine with a different byte order finds a wrong magic
-//! number.
+//! Numbers are in the byte order of the machine that writes the file. A machine with a different
+//! byte order rejects the file, because the magic number does not match.
 
 use std::fs::File;
 use std::io::{self, Read, Write};

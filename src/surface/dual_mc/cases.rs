@@ -214,8 +214,8 @@ mod tests {
                 }
             }
             for (&(a, b), &(_, in_face)) in &sides {
-                // A side without its opposite is on the border of the cell's surface, in a face;
-                // a side with its opposite is inside.
+                // A side that occurs in only one direction is on the border of the cell's surface,
+                // and thus in a face. A side that occurs in both directions is inside the cell.
                 let inner = sides.contains_key(&(b, a));
                 assert_eq!(inner, !in_face, "{joined:?}, case {case:08b}: {a:?} {b:?}");
                 seen += 1;

@@ -108,7 +108,7 @@ pub fn lengths() -> Vec<u32> {
 ///
 /// # Errors
 /// [`VulkanError::OutOfMemory`] if a buffer is larger than a shader can access.
-#[allow(clippy::too_many_arguments, reason = "what the twin takes, and where it goes")]
+#[allow(clippy::too_many_arguments, reason = "the CPU version's arguments, and device objects")]
 pub fn contour(
     batch: &mut Batch,
     pipelines: &DualMcPipelines,

@@ -11,7 +11,7 @@ use super::sides::Sides;
 use super::triangle::Triangle;
 use super::{BAND, BLOCK, LEAF, Leaf, first_voxel};
 
-/// The distance from a block, in voxels, within which a triangle can matter to the block.
+/// The distance from a block, in voxels, within which a triangle can affect the block's distances.
 pub const MARGIN: f64 = BAND as f64 + 0.01;
 /// Number of voxels along the edge of a block.
 const SIDE: usize = BLOCK as usize;
@@ -138,7 +138,7 @@ impl Band {
         let squared = self.squared[voxel..].first_chunk_mut::<TOGETHER>().expect(WITHIN);
         let nearest = self.nearest[voxel..].first_chunk_mut::<TOGETHER>().expect(WITHIN);
         let mut known = Vec4::from_array(*squared);
-        // The bits of integers, stored as floats: `select` only copies bits.
+        // The bits of the triangle numbers, stored as floats. `select` copies them unchanged.
         let mut numbers = Vec4::from_array(nearest.map(f32::from_bits));
         let z = z + Vec4::new(0.0, 1.0, 2.0, 3.0);
         for (number, triangle) in (index as u32..).zip(triangles) {

@@ -32,7 +32,7 @@ pub struct NearTriangles {
 }
 
 impl NearTriangles {
-    /// Forgets all triangles, and prepares for this number of new ones.
+    /// Removes all triangles, and prepares for `triangles` new ones.
     pub fn clear(&mut self, triangles: usize) {
         self.numbering.clear(triangles);
         self.places.clear();
@@ -87,7 +87,7 @@ impl NearTriangles {
             for corner in triangle.corners {
                 let apart = normal.distance_squared(self.normals[corner as usize]);
                 let most = &mut self.spreads[corner as usize];
-                // This keeps NaN.
+                // Unlike `f32::max`, this keeps `apart` if it is NaN.
                 *most = if apart <= *most { *most } else { apart };
             }
         }
@@ -137,7 +137,8 @@ const RUN: usize = 16;
 
 impl Numbering {
     fn clear(&mut self, triangles: usize) {
-        // The vertices of a closed mesh are about half as many as its triangles.
+        // A closed mesh has about half as many vertices as triangles, so the table has about eight
+        // slots per vertex, or more.
         self.slots.clear();
         self.slots.resize((triangles * 4).next_power_of_two().max(RUN), [EMPTY; 2]);
     }

@@ -5,7 +5,7 @@
 //! so that a column crosses an edge or a vertex exactly as often as it crosses the surface there. A
 //! column without crossings gets its side from a neighbouring column, or from a triangle that is
 //! visible from one of its voxels. Where the mesh passes through itself, columns can contradict
-//! each other; then the majority decides.
+//! each other. In that case, the majority of connected voxels decides on their common side.
 
 use std::ops::RangeInclusive;
 
@@ -20,7 +20,7 @@ use super::{BAND, BLOCK};
 /// Number of bits after the binary point of a [`Place`].
 const FRACTION: u32 = 20;
 /// Added to a coordinate before it is rounded, because converting a positive number to an integer
-/// rounds down without a function call. A negative sum is rounded up. That is just as good, because
+/// rounds down without a function call. A negative sum is rounded up, which does no harm because
 /// all triangles of a block round a vertex in the same way.
 const OFFSET: i64 = 1 << (52 - FRACTION);
 /// Number of columns along the edge of a block, and of voxels in a column.
@@ -64,7 +64,7 @@ impl Sides {
         }
     }
 
-    /// Forgets all crossings.
+    /// Removes all crossings.
     pub fn clear(&mut self) {
         self.entries.iter_mut().for_each(|bits| bits.fill(0));
     }
@@ -245,8 +245,8 @@ impl Sides {
     }
 
     /// The sides of deep voxels. All voxels of a connected set get the same side: the side on which
-    /// most of the set's voxels in crossed columns are, or, if these do not decide, on which most
-    /// of all its voxels are.
+    /// most of the set's voxels in crossed columns are. If the two sides have equally many of these
+    /// voxels, the set gets the side on which most of all its voxels are.
     fn vote(&self, deep: &[u64]) -> Vec<u64> {
         let mut voted = vec![0; EDGE * EDGE];
         let mut left = deep.to_vec();
@@ -258,8 +258,8 @@ impl Sides {
                 connected.clear();
                 connected.push([column / EDGE, column % EDGE, z]);
                 let mut next = 0;
-                // The votes for the inside minus those for the outside: of all voxels, and of those
-                // in crossed columns.
+                // The number of votes for the inside minus the number of votes for the outside,
+                // first of all voxels, and then of the voxels in crossed columns.
                 let (mut all, mut of_crossed) = (0, 0);
                 while let Some(&at) = connected.get(next) {
                     next += 1;
@@ -321,7 +321,7 @@ fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles
         let [a, b, c] = places(triangle.corners);
         let towards = triangle.normal.dot(to);
         let along = triangle.normal.dot(a) / towards;
-        // The signs tell on which side of each edge the line passes.
+        // The signs show on which side of each edge the line passes.
         let around = [a.cross(b).dot(to), b.cross(c).dot(to), c.cross(a).dot(to)];
         let is_hit = around.iter().all(|&v| v >= 0.0) || around.iter().all(|&v| v <= 0.0);
         (is_hit && along > 0.0).then_some((along, towards > 0.0))

@@ -13,8 +13,8 @@ use rayon::prelude::*;
 /// Number of triangles in a leaf, and of children of a node.
 const WIDTH: usize = 8;
 /// The margin of a disc, as a share of its size. The squared distance from a disc is reduced by the
-/// same share. Both are needed because rounding to f32 changes a disc's size and the length of its
-/// normal.
+/// same share. Both margins are needed because rounding to f32 changes a disc's size and the length
+/// of its normal.
 const DISC_MARGIN: f64 = 1e-5;
 /// Maximum number of nodes in a [`Vicinity`].
 const MOST_IN_VICINITY: usize = 128;
@@ -242,7 +242,8 @@ impl Vicinity<'_> {
                 }
             }
         }
-        // Search the nearest node first: what it finds rules out most other nodes as too far away.
+        // Search the nearest node first, because the triangle found in it shows that most other
+        // nodes are too far away.
         let mut search = |number: usize, squared: f64| {
             if squared < best.0 {
                 self.tree.search(self.level, self.nodes[number] as usize, point, &mut best);
@@ -617,7 +618,7 @@ mod tests {
                 let point = DVec3::new(random(), random(), random()) * 12.0;
                 let least = of_each(&triangles, point).fold(f64::INFINITY, f64::min);
                 let (squared, number) = tree.nearest(point, f64::INFINITY).unwrap();
-                // Rounding may hide a triangle that is nearer by a rounding error.
+                // The search can miss a triangle that is nearer only by a rounding error.
                 let as_far = |squared: f64| (squared - least).abs() <= 1e-15 * least;
                 assert!(as_far(squared), "{count}: {squared}, {least}");
                 assert_eq!(of_each(&triangles, point).nth(number), Some(squared), "{count}");

@@ -2,7 +2,7 @@
 //!
 //! Every vertex is checked separately. The check finds out whether shared edges connect all
 //! triangles around the vertex, and examines each edge to a higher-numbered vertex. It needs no
-//! hash table, and sorts only the few edges of a vertex. Findings are in vertex order, whatever the
+//! hash table, and sorts only the few edges of a vertex. Findings are in vertex order for any
 //! number of threads.
 
 use std::fmt;
@@ -112,8 +112,8 @@ impl Topology {
             && self.pinched_vertices.is_none()
     }
 
-    /// Whether the mesh is closed, oriented and 2-manifold: every directed edge occurs once, and so
-    /// does its reverse.
+    /// Whether the mesh is closed, oriented and 2-manifold: every directed edge and its reverse
+    /// occur once.
     #[must_use]
     pub fn is_closed_oriented_manifold(&self) -> bool {
         self.is_closed() && self.is_oriented() && self.is_manifold()
@@ -364,8 +364,8 @@ impl Stars {
         for &vertex in sound().flatten() {
             ends[vertex as usize] += 1;
         }
-        // `ends` has counts, which become starts. While the stars are filled, the starts become
-        // ends.
+        // `ends` has the number of triangles of each vertex, which this loop replaces by the start
+        // of the vertex's star. Filling the stars moves each start to the end of the star.
         let mut total = 0;
         for end in &mut ends {
             total += std::mem::replace(end, total);

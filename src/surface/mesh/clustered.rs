@@ -14,7 +14,7 @@ pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
 
 /// A coarser copy of `mesh`. The longest edge of its bounding box, from `lo` to `hi`, is divided
 /// into `cells` cells, and the vertices in each cell are merged into one vertex at their mean.
-/// Triangles with two equal corners are left out, and so are normals and attributes.
+/// The copy has no triangles with two equal corners, no normals and no attributes.
 ///
 /// # Errors
 /// If the mesh cannot be read from its scratch file.

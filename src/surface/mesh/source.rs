@@ -73,8 +73,8 @@ pub struct EmptyMesh {
 /// The positions of all vertices, and all triangles as indices into them.
 pub type Indexed = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
-/// A mesh in pieces. The mesh's vertices are those of all pieces in order, and so are its
-/// triangles. Pieces can be read repeatedly, by several threads.
+/// A mesh in pieces. The mesh has the vertices of all pieces, in order, and the triangles of all
+/// pieces, in order. Pieces can be read repeatedly, by several threads.
 pub trait MeshSource: Sync {
     /// A summary of the mesh.
     fn outline(&self) -> Outline;
@@ -218,7 +218,7 @@ fn assert_complete(mesh: &Mesh) {
         assert_eq!(
             Some(values.len()),
             vertices.checked_mul(*components),
-            "{components} of {name} a vertex"
+            "{components} components of {name} per vertex"
         );
         let whole_count = if kind.is_whole() { values.len() } else { 0 };
         assert_eq!(whole.len(), whole_count, "whole numbers of {name}");
@@ -302,7 +302,7 @@ pub struct BoundedMesh<'a> {
 }
 
 impl<'a> BoundedMesh<'a> {
-    /// Wraps a mesh of which no vertex has been read yet.
+    /// Wraps a mesh whose vertices have not been read yet.
     pub fn new(mesh: &'a dyn MeshSource) -> Self {
         Self { mesh, bounds: Mutex::new(None) }
     }

@@ -220,7 +220,7 @@ impl Spool {
                 0
             }
             BlockStore::File(scratch) => scratch.append(&block.to_bytes())?,
-            BlockStore::Files(_) => unreachable!("nothing is added to what is whole"),
+            BlockStore::Files(_) => unreachable!("no block is added to a spool in files"),
         };
         self.list(listed, at);
         Ok(())

@@ -142,7 +142,7 @@ impl TriangleTree {
     }
 
     /// Whether the box from `lo` to `hi` meets the bounding box of a few neighbouring triangles.
-    /// Only then can it meet a triangle.
+    /// Otherwise, it meets no triangle.
     #[must_use]
     pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         self.tree.meets(lo - self.origin, hi - self.origin)
@@ -278,7 +278,8 @@ mod tests {
 
     #[test]
     fn a_crossing_is_within_the_box_of_its_triangle() {
-        // The second corner is beside the line by less than the rounding of the other edges.
+        // The distance of the second corner from the line is less than the rounding errors of
+        // positions on the edges.
         let beside =
             [DVec3::new(0.0, 1.0, -1.0), DVec3::new(0.0, 1e-17, 1e-17), DVec3::new(0.0, 2.0, 1.0)];
         assert_eq!(crossing(beside, [0.0, 0.0]), None);

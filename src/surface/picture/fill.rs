@@ -112,8 +112,8 @@ fn draw_small(
 ) -> [PendingTriangles; VIEWS] {
     let mut large = [PendingTriangles::NONE; VIEWS];
     for (word, triangles) in triangles.chunks(WORD).enumerate() {
-        // This loop has no branches, because whether a small triangle contains a sample is almost
-        // random.
+        // Whether a small triangle contains a sample is almost random, so a branch would often be
+        // mispredicted. This loop therefore has no branches.
         let mut may_hold = [0; VIEWS];
         for (n, &[a, b, c]) in triangles.iter().enumerate() {
             let halves = |corner: u32| corners.halves[batch.index(corner)];
@@ -122,8 +122,8 @@ fn draw_small(
             may_hold[1] |= sun << n;
         }
         for (view, raster) in rasters.iter().enumerate() {
-            // This loop has no branches either, because whether the only sample in a triangle's box
-            // is inside the triangle is almost random.
+            // Whether the only sample in a triangle's box is inside the triangle is almost random,
+            // too, so this loop has no branches either.
             let mut drawn = 0;
             for n in ones(may_hold[view]) {
                 let corners = of(&triangles[n], batch, corners, view);

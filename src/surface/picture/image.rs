@@ -31,7 +31,7 @@ pub struct Image {
 
 impl Image {
     pub(super) fn new(width: usize, height: usize, rgb: Vec<u8>) -> Self {
-        assert_eq!(rgb.len(), 3 * width * height, "three bytes a pixel");
+        assert_eq!(rgb.len(), 3 * width * height, "three bytes per pixel");
         Self { width, height, rgb }
     }
 
@@ -95,7 +95,7 @@ impl Image {
             (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP);
         let mut rgb = vec![PAPER; 3 * full_width * full_height];
         for (n, image) in images.iter().enumerate() {
-            assert_eq!((image.width, image.height), (width, height), "images of one size");
+            assert_eq!((image.width, image.height), (width, height), "images of equal size");
             let (left, top) = (n % columns * (width + GAP), n / columns * (height + GAP));
             for (y, row) in image.rgb.chunks(3 * width).enumerate() {
                 rgb[3 * ((top + y) * full_width + left)..][..3 * width].copy_from_slice(row);
@@ -166,7 +166,7 @@ impl<'a> Animation<'a> {
     /// # Panics
     /// If the image does not have the size of the first image.
     pub fn push(&mut self, image: &Image) -> io::Result<()> {
-        assert_eq!([image.width, image.height], self.size, "images of one size");
+        assert_eq!([image.width, image.height], self.size, "images of equal size");
         Ok(self.writer.write_image_data(&image.rgb)?)
     }
 

@@ -40,8 +40,8 @@ impl AtomicSet {
     pub(super) fn insert(&self, number: u32) {
         let at = number - self.first;
         let (word, bit) = (&self.words[at as usize / 64], 1 << (at % 64));
-        // Reads first: most numbers are already members, and reading does not slow other threads
-        // down.
+        // Most numbers are already members. Reading the word first avoids most writes, and unlike a
+        // write, a read does not slow other threads down.
         if word.load(Ordering::Relaxed) & bit == 0 {
             word.fetch_or(bit, Ordering::Relaxed);
         }

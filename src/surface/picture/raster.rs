@@ -154,9 +154,9 @@ impl Raster {
         ]
     }
 
-    /// Draws a triangle whose box contains few samples; any thread may do so. Otherwise draws
-    /// nothing, and returns the triangle's rows, which are all rows if a corner is behind the eye
-    /// or too far to the side.
+    /// Draws a triangle if its box contains few samples. Any thread may draw such triangles.
+    /// Otherwise draws nothing, and returns the triangle's rows, which are all rows if a corner is
+    /// behind the eye or too far to the side.
     #[inline(always)]
     pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
         if !placed(corners) {
@@ -168,7 +168,7 @@ impl Raster {
             return Some(top..bottom + 1);
         }
         self.fill(around, number, corners, |sample, key, way| {
-            // Reads first: many triangles are hidden, and reading is cheaper.
+            // Many triangles are hidden. For these, reading first avoids the slower `fetch_max`.
             if self.nearest[sample].load(Ordering::Relaxed) < key {
                 self.nearest[sample].fetch_max(key, Ordering::Relaxed);
             }
@@ -223,8 +223,8 @@ impl Raster {
                 let last = polygon[n.checked_sub(1).unwrap_or(polygon.len() - 1)];
                 let [from, to] = [plane(last), plane(corner)];
                 if (from >= 0.0) != (to >= 0.0) {
-                    // Edges are cut from the inside out, so that the neighbouring triangle is
-                    // clipped at the same place.
+                    // The place of the cut is computed from the inner to the outer end of the edge
+                    // in both triangles of the edge, so that both are clipped at the same place.
                     let ([inner, outer], share) = if from >= 0.0 {
                         ([last, corner], from / (from - to))
                     } else {

@@ -19,12 +19,12 @@ const DEFAULT_SIZE: [usize; 2] = [1920, 1080];
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 #[non_exhaustive]
 pub struct Scope {
-    /// The box that is completely visible; `None` without vertices.
+    /// The box that is completely visible; `None` if there are no vertices.
     pub bounds: Option<Corners>,
-    /// The range of the attribute that is shown; for distances, a range that contains those of 99 %
-    /// of the vertices.
+    /// The range of the attribute that is shown; for distances, a range that contains the distances
+    /// of 99 % of the vertices.
     pub range: Option<[f32; 2]>,
-    /// Whether some values are beyond the range; the legend then says so.
+    /// Whether some values are beyond the range. If so, the legend marks both ends of the range.
     pub beyond: bool,
 }
 

@@ -212,8 +212,8 @@ impl<'a> Shape<'a> {
         })
     }
 
-    /// Calls `pass` for each batch of triangles, with the number of its first triangle and the
-    /// corners of all of them.
+    /// Calls `pass` for each batch of triangles, with the number of the batch's first triangle and
+    /// the corners of all its triangles.
     pub(super) fn triangles(
         &self,
         mut pass: impl FnMut(u32, &[[u32; 3]]) -> Result<(), PictureError>,
@@ -292,11 +292,12 @@ fn put<P: Sync, T: Copy + Send + Sync>(
     end
 }
 
-/// The bounding box of the positions that can be drawn: those without a coordinate beyond
-/// [`FARTHEST`].
+/// The bounding box of the positions that can be drawn: the magnitudes of their coordinates are at
+/// most [`FARTHEST`].
 fn box_of(places: &[[f64; 3]]) -> Option<Corners> {
     let none = [[f64::INFINITY; 3], [f64::NEG_INFINITY; 3]];
-    // This loop has no branches: other positions are replaced by values that do not change the box.
+    // This loop has no branches. Positions that cannot be drawn are replaced by values that do not
+    // change the box.
     let found = places.iter().fold(none, |[lo, hi], place| {
         let sound = place.iter().fold(true, |sound, x| sound & (x.abs() <= FARTHEST));
         let place = |none: f64| place.map(|x| if sound { x } else { none });

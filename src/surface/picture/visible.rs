@@ -255,5 +255,5 @@ fn add_normals(batch: &TriangleBatch<'_>, vertices: &RankedSet, unit: f64, norma
 }
 
 fn rank(set: &RankedSet, number: u32) -> u32 {
-    set.rank(number).expect("what is seen is in the set of what is seen")
+    set.rank(number).expect("visible triangles and corners have ranks")
 }

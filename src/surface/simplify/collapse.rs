@@ -34,8 +34,8 @@ const FINE: i32 = 4;
 /// triangles is at least `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// If no segment around a vertex needed a check, these segments are not checked again until the
-/// vertex's closest triangle has turned by more than the angle whose cosine this is.
+/// If no segment around a vertex needed a check, these segments are not checked again as long as
+/// the cosine between the old and the new normal of the vertex's closest triangle is at least this.
 const STEADY: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
@@ -495,7 +495,8 @@ impl CollapseState<'_, '_> {
         self.surface.star(target).all(|triangle| {
             let corners = self.surface.triangles[triangle as usize];
             corners.iter().all(|&corner| self.marks[corner as usize] != self.mark)
-                // Otherwise, a tetrahedron would vanish.
+                // A ring of three triangles, closed by a triangle of `target` and the two vertices
+                // in `beside`, is a tetrahedron, which would vanish.
                 && (ring.len() > 3 || corners.contains(&vertex) || !beside.iter().all(|v| corners.contains(v)))
         })
     }
@@ -522,7 +523,7 @@ impl CollapseState<'_, '_> {
             }
         }
         let [from, to] = [vertex, target].map(|vertex| surface.positions[vertex as usize]);
-        // Relative to the target, vanishing triangles have no volume.
+        // Positions are relative to the target, so the two triangles that vanish add no volume.
         let volume = |from: Vec3A| -> f32 {
             let of = |&triangle: &u32| {
                 let corners = surface.triangles[triangle as usize];

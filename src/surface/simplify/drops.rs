@@ -37,7 +37,7 @@ impl TooSmall {
         self.components + self.drops
     }
 
-    /// The names of the limits because of which components were left out.
+    /// The names of the limits that caused components to be left out.
     #[must_use]
     pub fn limits(self) -> &'static str {
         match (self.components, self.drops) {
@@ -184,7 +184,7 @@ impl PieceParts {
         let mut lesser: Vec<u32> = (0..places.len() as u32).collect();
         for triangle in &triangles {
             let roots = triangle.map(|vertex| root(&mut lesser, local(vertex) as u32));
-            let least = roots.into_iter().min().expect("there are three");
+            let least = roots.into_iter().min().expect("a triangle has three corners");
             roots.into_iter().for_each(|root| lesser[root as usize] = least);
         }
         let mut numbers = HashMap::new();

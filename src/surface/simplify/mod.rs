@@ -310,7 +310,8 @@ impl Passes<'_> {
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
                 Some(local) => inside.push(local),
-                // The cell is dual: its corners are the cells of the triangle's vertices.
+                // `cell` is a dual cell. `corners` are the corners of a box that contains the cells
+                // of the triangle's vertices.
                 None => sorted.push(self.home(cell, self.scale.corners(cell)), triangle),
             })?;
         }
@@ -379,7 +380,7 @@ impl Passes<'_> {
                 Fate::Simplify => left.extend(list.iter().map(|&triangle| {
                     chunk
                         .local(triangle)
-                        .expect("a triangle inside of a chunk has its vertices there")
+                        .expect("a triangle inside a chunk has all of its vertices there")
                 })),
             }
         }

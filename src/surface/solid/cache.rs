@@ -92,7 +92,7 @@ impl DistanceCache {
             .estimated_items_capacity((most_bytes / CUBE_BYTES) as usize)
             .weight_capacity(most_bytes)
             .build()
-            .expect("all that has no default is given");
+            .expect("all options without a default are set");
         let cubes =
             Cache::with_options(options, CubeWeighter, Default::default(), Default::default());
         Self { lattices: Mutex::default(), cubes }
@@ -174,7 +174,7 @@ mod tests {
         assert_eq!(of(0, &[3, 4, 1]), [4]);
         assert_eq!(of(1, &[3]), [3]);
         assert!(of(0, &[1, 2, 3, 4]).is_empty());
-        // A cube that is used repeatedly stays in the cache while other cubes come and go.
+        // A cube that is used repeatedly stays in the cache while other cubes are evicted.
         for first in (10..30_000).step_by(500) {
             of(0, &(first..first + 500).collect::<Vec<_>>());
             assert!(of(0, &[1]).is_empty());

@@ -245,7 +245,8 @@ struct NearMeshes<'a> {
 }
 
 impl NearMeshes<'_> {
-    /// The distance of all cells in the box, if no triangle is near.
+    /// Returns the common distance of all cells if the box is inside a mesh without triangles near
+    /// the box, or if no mesh has a triangle near the box.
     fn same(&self, lattice: &DistanceLattice) -> Option<i16> {
         let is_far = self.is_inside || self.near.is_empty();
         is_far.then_some(if self.is_inside { -lattice.most } else { lattice.most })
@@ -274,7 +275,7 @@ struct PlacedMesh<'a> {
 }
 
 impl PlacedMesh<'_> {
-    /// Whether the bounding box of any triangle meets the box from `lo` to `hi`.
+    /// Whether the box from `lo` to `hi` meets the bounding box of a few neighbouring triangles.
     fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         self.mesh.meets(lo - self.shift, hi - self.shift)
     }
@@ -334,8 +335,8 @@ impl PlacedMesh<'_> {
 }
 
 /// Whether each cell of a cube is inside a mesh. `distances` are the cells' distances from the
-/// mesh, and `is_inside` finds the answer for a single cell. Cells are `width` wide. No triangle is
-/// between a cell and its neighbour if the distance of either is larger than `width`.
+/// mesh, and `is_inside` returns whether a single cell is inside. Cells are `width` wide. No
+/// triangle is between a cell and its neighbour if the distance of either is larger than `width`.
 fn are_inside(
     distances: &[f64; CELLS],
     width: f64,
@@ -477,7 +478,7 @@ mod tests {
     #[test]
     fn the_distance_of_a_rotated_box_matches_its_formula() {
         let angle = 0.3_f64;
-        // Each axis is once the axis in which the mesh is shortest.
+        // The box is shortest along a different axis in each case.
         let halves = [[0.7, 1.0, 1.5], [1.5, 0.7, 1.0], [1.0, 1.5, 0.7]].map(DVec3::from);
         for (half, level) in halves.into_iter().flat_map(|half| [(half, 0), (half, 1)]) {
             let solid = solid(vec![turned_box(-half, half, angle)]);

@@ -231,7 +231,7 @@ pub fn stitch(
         [width, count.div_ceil(width), 1],
     )?;
     let limits = device.limits();
-    // Padding for alignment before a run must fit as well.
+    // A run's view can begin with padding for alignment, which must fit into the binding as well.
     let range = (limits.storage_range - limits.alignment).min(ROWS_AT_ONCE * ROW);
     for run in layout.runs(|block| block.first_vertex, layout.vertices, range) {
         let (positions, first_word) = run.view(positions, limits.alignment);

@@ -106,7 +106,7 @@ fn dense_field(frame: &Engine, Variant { particles, sampling, surfacing }: &Vari
 /// computed, for a frame with the cloud indicator.
 fn inside(frame: &Engine, surfacing: &Surfacing) -> Arc<InsideBricks> {
     let (recipe, _) = recipe(frame, surfacing);
-    let Filters::Distances(distances) = recipe.filters else { panic!("clouds have distances") };
+    let Filters::Distances(distances) = recipe.filters else { panic!("not the filters of clouds") };
     distances.inside
 }
 
@@ -353,8 +353,8 @@ pub fn moving_a_scene_by_whole_bins_moves_its_field(backend: &TestBackend) {
 }
 
 pub fn changing_cell_size_and_origin_scales_and_moves_the_mesh(backend: &TestBackend) {
-    // Scaling by a power of two, and moving by multiples of it, causes no rounding: cells keep
-    // exactly the same particles.
+    // Scaling by a power of two, and moving by multiples of this power, causes no rounding.
+    // Therefore, each cell keeps exactly the same particles.
     let (cell, origin) = (0.25, DVec3::new(-3.0, 0.5, 10.0));
     for Variant { particles, sampling: unit, surfacing } in of_each_kind(backend, 17) {
         let placed: Vec<[f64; 3]> =

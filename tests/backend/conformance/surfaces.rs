@@ -144,8 +144,8 @@ pub fn the_surface_of_white_noise_over_27_blocks_is_a_closed_manifold(backend: &
 }
 
 pub fn all_pairs_of_adjacent_sign_patterns_give_a_closed_manifold(backend: &TestBackend) {
-    // All 2^12 patterns of 2 x 2 x 3 samples, far apart: each sample is inside or outside, and
-    // inside samples have one of two values.
+    // Put all 2^12 patterns of 2 x 2 x 3 samples into one field, far apart. Each sample of a
+    // pattern is inside or outside, and inside samples have one of two values.
     let pattern = |cell: IVec3| {
         let (group, local) = (cell.div_euclid(IVec3::splat(6)), cell.rem_euclid(IVec3::splat(6)));
         let which = group.x + 16 * (group.y + 16 * group.z);
@@ -507,7 +507,7 @@ pub fn attributes_are_interpolated_smoothly_for_any_particle_order(backend: &Tes
     let moving = Attributed::new(ball.clone()).with("v", rotation);
     let sampling = Sampling { carried: vec![0], ..backend.sampling() };
     let (_, first) = reconstruct(&moving, &sampling, &surfacing());
-    let [velocity] = &first.mesh.attributes[..] else { panic!("one attribute") };
+    let [velocity] = &first.mesh.attributes[..] else { panic!("expected one attribute") };
     assert_eq!(velocity.values.len(), 3 * first.mesh.positions.len());
     for (&[x, _, z], v) in first.mesh.positions.iter().zip(velocity.values.chunks_exact(3)) {
         // The values come from particles up to two cells deeper than the vertex.

@@ -1,5 +1,5 @@
-//! Compiles `random.c`, the C interface's test of random calls, so that the fuzzer's bytes drive
-//! it.
+//! Compiles `random.c`, which tests random calls of the C interface. `FUZZED` selects the variant
+//! in which the fuzzer's bytes determine the calls.
 
 fn main() {
     let c = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../src/bindings/c");

@@ -96,7 +96,7 @@ fn read(format: MeshFormat, data: &[u8]) {
         Err(fault) => return assert!(!fault.to_string().is_empty()),
     };
     let vertices = mesh.positions.len();
-    assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < vertices), "a missing vertex");
+    assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < vertices), "missing vertex");
     assert!(mesh.normals.as_ref().is_none_or(|normals| normals.len() == vertices));
     assert!(mesh.attributes.iter().all(|a| a.values.len() == a.components * vertices));
     assert!(!check(&mesh).to_string().is_empty());
@@ -108,12 +108,12 @@ fn read(format: MeshFormat, data: &[u8]) {
 /// Lists the grids of a .vdb file. All grids must lie within the file.
 fn grids(data: &[u8]) {
     match read_grids(data.into()) {
-        Ok(grids) => assert!(32 * grids.len() <= data.len(), "more grids than bytes"),
+        Ok(grids) => assert!(32 * grids.len() <= data.len(), "too many grids for the file's size"),
         Err(fault) => assert!(!fault.to_string().is_empty()),
     }
 }
 
-/// A mesh whose source also knows the lattice of its samples, for .vdb files.
+/// A mesh whose source also provides the lattice of its samples, which .vdb files need.
 struct OnLattice(Mesh);
 
 impl MeshSource for OnLattice {
@@ -147,7 +147,7 @@ fn bits(positions: &[[f64; 3]]) -> Vec<u64> {
 fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
     let mut bytes = Vec::new();
     format.write(&mut bytes, mesh, CoordinateWidth::F64).unwrap();
-    format.read(&bytes).unwrap_or_else(|fault| panic!("{format}, of our own: {fault}"))
+    format.read(&bytes).unwrap_or_else(|fault| panic!("{format}, as we wrote it: {fault}"))
 }
 
 /// The mesh formats that store the names of attributes.

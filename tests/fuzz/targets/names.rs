@@ -67,14 +67,14 @@ fn patterns(data: &[u8]) {
         assert!(
             text.contains(['%', '<'])
                 || Pattern::parse(Path::new(&filled)).is_ok_and(|again| again.is_none()),
-            "{text:?} is a pattern when it is filled"
+            "a name from the pattern {text:?} is itself a pattern"
         );
     }
     let _ = Naming::of(Path::new(text));
 }
 
-/// Lists the frames of the pattern in the first line. The other lines name existing files. Each
-/// frame must have one number and one output, and frames must be in order.
+/// Lists the frames of the pattern in the first line. The other lines are the names of the files
+/// that exist. The numbers of the frames must increase, and each frame must have its own output.
 fn frames(data: &[u8]) {
     let Ok(text) = str::from_utf8(data) else { return };
     let mut lines = text.split('\n');
@@ -107,14 +107,14 @@ fn frames(data: &[u8]) {
         assert!(found.is_sorted_by(|a, b| a.number < b.number), "frames are out of order");
         assert!(
             found.iter().all(|frame| fs::metadata(&frame.path).is_ok()),
-            "a frame is not there"
+            "the file of a frame is missing"
         );
         for naming in ["m_{}.ply", "m_{:03}.vtp", "made/"] {
             let outputs = Naming::of(&folder.join(naming)).unwrap().unwrap().outputs(&inputs);
             let made: Vec<_> =
                 found.iter().map(|frame| outputs.path(frame.number, &frame.digits)).collect();
-            assert!((1..made.len()).all(|i| made[i - 1] != made[i]), "two frames have one output");
-            assert!(!made.contains(&simulation(&outputs)), "a simulation is named as a frame");
+            assert!((1..made.len()).all(|i| made[i - 1] != made[i]), "frames share an output");
+            assert!(!made.contains(&simulation(&outputs)), "a frame has the simulation's name");
         }
     }
 }

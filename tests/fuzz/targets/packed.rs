@@ -165,7 +165,7 @@ fn unbuilt(frame: &[u8]) -> Vec<u8> {
         plain.extend((planes.len() as u16).to_le_bytes());
         plain.extend(planes);
     }
-    assert!(built(&plain) == frame, "built otherwise than it was");
+    assert!(built(&plain) == frame, "the rebuilt frame has other bytes");
     plain
 }
 
@@ -247,7 +247,7 @@ fn of_several_sizes() -> Vec<Vec<u8>> {
 /// Returns `seeds`, after checking that each is a valid frame.
 fn checked(seeds: Vec<Vec<u8>>) -> Vec<Vec<u8>> {
     for seed in &seeds {
-        assert!(open_frame(&folder::file("seed.mnf", seed), 0, None).is_ok(), "a seed is no frame");
+        assert!(open_frame(&folder::file("seed.mnf", seed), 0, None).is_ok(), "a seed is invalid");
     }
     seeds
 }

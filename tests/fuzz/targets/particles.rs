@@ -306,8 +306,8 @@ pub fn own(data: &[u8]) -> Bytes {
     data.to_vec().into()
 }
 
-/// Reads all numbers of a file, and then the second half again. Both times, the numbers must be the
-/// same.
+/// Reads all numbers of a file, and then reads the numbers of the second half of the particles
+/// again. Both readings must give the same numbers.
 pub fn read_through(read: Result<ParticleFile, ReadFault>) {
     let file = match read {
         Ok(file) => file,
@@ -321,7 +321,7 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
     let bits = |positions: &[[f64; 3]]| -> Vec<u64> {
         positions.as_flattened().iter().map(|x| x.to_bits()).collect()
     };
-    assert_eq!(bits(&all[half..]), bits(&rest), "other positions from the middle on");
+    assert_eq!(bits(&all[half..]), bits(&rest), "positions differ when they are read again");
     for (index, info) in particles.attributes().iter().enumerate().take(MOST_ATTRIBUTES) {
         let (mut all, mut rest) = (
             vec![0.0_f32; count * info.components],
@@ -333,7 +333,7 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
         assert_eq!(
             bits(&all[half * info.components..]),
             bits(&rest),
-            "another {} from the middle on",
+            "{} differs when it is read again",
             info.name
         );
     }
@@ -374,7 +374,7 @@ fn run_hdf5(data: &[u8]) {
     let types = [None, Some("type=0"), Some("type=fluid"), Some("type=PartType1")];
     let conditions: Vec<Where> = types[usize::from(choice >> 2 & 3)]
         .into_iter()
-        .map(|condition| condition.parse().expect("is a condition"))
+        .map(|condition| condition.parse().expect("a valid condition"))
         .collect();
     let wanted = WantedParticles { conditions: &conditions, ..WantedParticles::default() };
     let read = h5::open_particles(Path::new("nowhere/a_0.hdf5"), own(data), step, wanted, memory());
@@ -491,7 +491,7 @@ pub fn vtus() -> Vec<Vec<u8>> {
 }
 
 fn hdf5s() -> Vec<Vec<u8>> {
-    // Seeds that other programs wrote when the scripts in `tools/interop` ran them.
+    // These seeds were written by the scripts in `tools/interop`, with other programs' libraries.
     let files: [(u8, &[u8]); 14] = [
         (0, include_bytes!("../../data/h5/columns.h5")),
         (1, include_bytes!("../../data/h5/groups.h5")),

@@ -67,9 +67,9 @@ fn fresh() -> (Parts, PathBuf) {
     (parts, files)
 }
 
-/// Replaces one of the files with the bytes, and merges the parts. The first byte selects the file,
-/// and whether the checksum of a part is corrected. With a correct checksum, the library trusts a
-/// part's content except its lists.
+/// Replaces one of the files with bytes of `data`, and merges the parts. The first byte of `data`
+/// selects the file, and whether this function corrects the checksum of a part. If the checksum is
+/// correct, the library trusts the content of a part, except its lists.
 fn damaged(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     thread_local! {
@@ -91,7 +91,7 @@ fn damaged(data: &[u8]) {
         Ok(surface) => {
             let mesh = surface.to_mesh();
             if choice & 4 == 0 {
-                assert!(mesh.unwrap().positions == *positions, "another mesh of damaged parts");
+                assert!(mesh.unwrap().positions == *positions, "damaged parts gave another mesh");
             }
         }
         Err(error) => assert!(!error.to_string().is_empty()),
@@ -106,7 +106,7 @@ fn seeds() -> Vec<Vec<u8>> {
         .to_vec()
 }
 
-/// Meshes random particles in several parts. The surface must be the same as that of a single run.
+/// Meshes random particles in one to six parts. The mesh must equal the mesh of a single run.
 fn merged(data: &[u8]) {
     let Some(([count, scale], data)) = data.split_first_chunk::<2>() else { return };
     let scale = [0.02, 0.1, 1.0, 40.0][usize::from(scale & 3)];
@@ -127,7 +127,7 @@ fn merged(data: &[u8]) {
     });
     match (single, merged) {
         (Ok(single), Ok(merged)) => {
-            assert!(single.to_mesh().unwrap() == merged.to_mesh().unwrap(), "another mesh in parts")
+            assert!(single.to_mesh().unwrap() == merged.to_mesh().unwrap(), "the meshes differ")
         }
         (Err(single), Err(merged)) => {
             assert_eq!(single.cause(), merged.cause(), "{single} and {merged}")

@@ -59,8 +59,8 @@ const RECORD: &[&str] = &[
     "null",
 ];
 
-/// Merges the record files of several processes. A byte that does not occur in text separates them.
-/// No valid record of a damaged file may be lost.
+/// Merges the record files of several processes. In `data`, the byte 0xff separates the files,
+/// because this byte does not occur in text. No valid record of a damaged file may be lost.
 fn records(data: &[u8]) {
     let folder = folder::empty("out.ply.meniscus");
     let log = |number: usize| {
@@ -72,29 +72,29 @@ fn records(data: &[u8]) {
     let before = Records::read(&folder);
     let store = StateFolder::beside(&folder::path("out.ply"));
     store.log.merge().unwrap();
-    assert!(Records::read(&folder) == before, "records are lost");
+    assert!(Records::read(&folder) == before, "merging changes the records");
     let here = folder::file("mesh.ply", b"mesh");
     for number in [-1, 0, 1, 2, i64::MAX] {
         let frame = FrameFile::new(number, number.to_string(), here.clone());
         if let Some(record) = before.of(&frame, &here, 5) {
             store.log.keep(record).unwrap();
-            assert!(Records::read(&folder) == before, "a record that is kept again is another");
+            assert!(Records::read(&folder) == before, "adding a record again changes the records");
             let _ = record.is_whole(&here);
         }
     }
 }
 
-/// Reads a state. If it is valid, writing and reading it must not change it.
+/// Reads a state. If the state is valid, writing and reading must not change it.
 fn state(data: &[u8]) {
     folder::empty("out.ply.meniscus");
     let store = StateFolder::beside(&folder::path("out.ply"));
     fs::write(store.state_path(), data).unwrap();
     match store.load() {
         Ok(state) => {
-            let state = state.expect("it is there");
+            let state = state.expect("the file exists");
             fs::remove_file(store.state_path()).unwrap();
             assert_eq!(store.add(&state).unwrap(), state);
-            let again = store.load().unwrap().expect("it is there");
+            let again = store.load().unwrap().expect("the file exists");
             assert_eq!(again, state);
             assert_eq!(again.fingerprint(MeshFormat::Ply), state.fingerprint(MeshFormat::Ply));
             let _ = state.differing(&StoredSettings::new());
@@ -126,7 +126,7 @@ fn record_seeds() -> Vec<Vec<u8>> {
     let seed = logs.join(&0xff);
     let folder = folder::empty("seed");
     fs::write(folder.join("frames.jsonl"), record(1, 5)).unwrap();
-    assert!(Records::read(&folder) != Records::default(), "a seed is no record");
+    assert!(Records::read(&folder) != Records::default(), "the seed has no valid record");
     vec![seed]
 }
 

@@ -66,9 +66,9 @@ fn run(data: &[u8]) {
         && !mesh.triangles.is_empty()
     {
         let [a, b] = [&whole, &mesh].map(measure);
-        assert_eq!((a.components, a.genus), (b.components, b.genus), "another shape");
+        assert_eq!((a.components, a.genus), (b.components, b.genus), "another topology");
         let found = compare(&whole, &mesh).unwrap();
-        assert!(found.hausdorff <= tolerance, "farther than {tolerance}: {found:?}");
+        assert!(found.hausdorff <= tolerance, "the distance exceeds {tolerance}: {found:?}");
     }
 }
 

@@ -101,8 +101,8 @@ fn streams() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Reads an .npz archive with correct checksums. In `data`, each array follows its length, which
-/// takes two bytes.
+/// Reads an .npz archive with correct checksums. In `data`, the length of each array precedes the
+/// array, and takes two bytes.
 fn run_npz(data: &[u8]) {
     let Some((choice, mut data)) = data.split_first() else { return };
     let mut arrays = Vec::new();
@@ -141,7 +141,7 @@ fn run_blocks(data: &[u8]) {
     let whole: Vec<Vec<u8>> = data.chunks(block).map(pack).collect();
     let mut lengths = vec![whole.len() as u32, block as u32, (data.len() % block) as u32];
     lengths.extend(whole.iter().map(|block| block.len() as u32));
-    // All lengths are correct, except the one that `count` selects.
+    // All lengths are correct, but a nonzero `count` selects one length to change.
     if count != 0 {
         let at = usize::from(count) % lengths.len();
         lengths[at] = lengths[at].wrapping_add(u32::from(last)).wrapping_sub(128);
@@ -158,7 +158,7 @@ fn run_blocks(data: &[u8]) {
     file.extend(whole.concat());
     file.extend(b"</AppendedData></VTKFile>");
     let read = vtp::read_particles(own(&file), memory());
-    // An undamaged file must be read.
+    // The reader must accept an undamaged file.
     if count == 0 && data.len() == 3 * points * sizes[kind] && !data.is_empty() {
         assert!(read.is_ok(), "{:?}", read.err());
     }

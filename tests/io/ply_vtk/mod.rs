@@ -166,7 +166,7 @@ impl VtkBuilder {
         self
     }
 
-    /// Marks the file so far as complete. The last line break is optional, unless it ends a
+    /// Records that the file may end here. The last line break is optional, unless it ends a
     /// required empty line.
     fn end(mut self) -> Self {
         let length = self.bytes.len();

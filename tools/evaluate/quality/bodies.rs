@@ -83,7 +83,7 @@ pub fn methods(options: &Options, programs: &[Program]) -> Outcome<Vec<Method>> 
             .collect::<Outcome<_>>()?;
         let texts: Vec<String> =
             tried.iter().map(|(distance, iso)| format!("{iso}: {distance:.3}")).collect();
-        println!("- {}: {} (its own comes first)", program.name, texts.join(", "));
+        println!("- {}: {} (the documented isovalue comes first)", program.name, texts.join(", "));
         let best = tried.iter().min_by(|one, other| one.0.total_cmp(&other.0));
         if let Some((_, iso)) = best.filter(|(_, iso)| **iso != program.isos[0]) {
             methods.push(program.best(iso));
@@ -130,7 +130,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             }
         }
     }
-    board.table("distances to bodies filled with particles of a turned lattice", lines)?;
+    board.table("distances to bodies filled with particles of a rotated lattice", lines)?;
 
     let ball = Solid::new(
         "ball",
@@ -148,8 +148,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             Ok(vec![figure(volume / truth)])
         }),
     });
-    board
-        .table("balls of radius 5: the mesh's volume over theirs, mean of 8 lattices", lines.into())
+    board.table("balls of radius 5: mesh volume / ball volume, mean of 8 lattices", lines.into())
 }
 
 /// The particles of several balls side by side, each on a different lattice.

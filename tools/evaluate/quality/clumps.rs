@@ -63,7 +63,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         }),
     };
     board.table(
-        "sheets above a bulk, jittered by 0.3: volume is over the particles'",
+        "sheets above a bulk, jittered by 0.3: volume is relative to the particles'",
         vec![sheets],
     )?;
 
@@ -80,7 +80,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         }),
     };
     board.table(
-        "chains of 8 single particles that leave a bulk: whole if there is 1 component, mean of 6",
+        "chains of 8 single particles that leave a bulk: 1 component means a whole chain, mean of 6",
         vec![chains],
     )?;
 
@@ -103,9 +103,9 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     };
     let beside = cells.iter().map(|&cell| of_drops(true, cell));
     let lines = [None].map(|cell| of_drops(false, cell)).into_iter().chain(beside).collect();
-    board.table("49 drops of 1, 2 and 8 particles: components; a drop's volume over its particles': least, mean, greatest", lines)?;
+    board.table("49 drops of 1, 2 and 8 particles: components; least, mean and greatest volume of a drop, relative to its particles'", lines)?;
 
-    let air_row = |radius: f64| format!("radius {radius}: kept of {BALLS}, volume over theirs");
+    let air_row = |radius: f64| format!("radius {radius}: kept of {BALLS}, relative volume");
     let air = Line {
         rows: AIR.map(air_row).into(),
         cell: None,
@@ -138,7 +138,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         }),
     };
     board
-        .table("balls of air in a bulk jittered by 0.3, and bulks without any", vec![air, disorder])
+        .table("balls of air in a bulk jittered by 0.3, and bulks without air", vec![air, disorder])
 }
 
 fn moved(particles: Points, by: DVec3) -> impl Iterator<Item = [f64; 3]> {

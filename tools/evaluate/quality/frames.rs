@@ -144,10 +144,10 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         let area = calm.iter().filter(|&&calm| calm).count() / 4;
         lines.push(Line {
             rows: vec![
-                format!("{}: roughness of {area} calm square spacings, RMS", frame.name),
-                format!("{}: its slope in degrees, RMS", frame.name),
+                format!("{}: RMS roughness of {area} square spacings of calm water", frame.name),
+                format!("{}: RMS slope of the roughness, in degrees", frame.name),
                 format!("{}: components, bubbles", frame.name),
-                format!("{}: volume over the particles'", frame.name),
+                format!("{}: volume relative to the particles'", frame.name),
             ],
             cell: None,
             scenes: vec![frame.points.clone().into()],
@@ -161,7 +161,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         });
     }
     board.table(
-        "water of simulations: calm regions, minus the same smoothed by a Gaussian of 3 spacings",
+        "water of simulations: roughness is relative to heights smoothed by a Gaussian of 3 spacings",
         lines,
     )?;
 
@@ -184,7 +184,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
     let counts: Vec<f64> = dam.iter().map(|frame| frame.points.len() as f64).collect();
     lines.push(Line {
         rows: vec![format!(
-            "volume over the particles', frames {}: least, greatest",
+            "least and greatest volume relative to the particles', frames {}",
             DAM_BREAK.join(", ")
         )],
         cell: None,
@@ -201,7 +201,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
             Ok(vec![format!("{least:.3}, {greatest:.3}")])
         }),
     });
-    board.table("the dam break by cells", lines)
+    board.table("the dam break with several cell sizes", lines)
 }
 
 /// The roughness of calm water: the RMS of its heights after subtracting their Gaussian mean, and

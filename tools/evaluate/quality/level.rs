@@ -66,7 +66,7 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
             });
         }
     }
-    board.table("level pools: mean of 3, bubbles of all", lines)?;
+    board.table("level pools: mean of 3, total number of bubbles", lines)?;
 
     let lines = WAVES.map(|[length, amplitude]| Line {
         rows: vec![format!("length {length}, amplitude {amplitude}")],

@@ -44,7 +44,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     let table = options
         .methods
         .as_ref()
-        .ok_or("quality needs --methods: tools/compare/quality writes them")?;
+        .ok_or("the topic quality needs --methods TABLE; run tools/compare/quality, which writes the table")?;
     let programs = programs::read(table)?;
     std::fs::create_dir_all(&options.out)?;
     let board = Board::new(bodies::methods(options, &programs)?)?;

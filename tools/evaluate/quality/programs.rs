@@ -60,7 +60,7 @@ impl Program {
     fn parse(line: &str) -> Outcome<Self> {
         let [name, cell, isos, takes, command, sized] = line.split('\t').collect::<Vec<_>>()[..]
         else {
-            return Err(format!("six fields are needed, not `{line}`").into());
+            return Err(format!("expected six fields separated by tabs, got `{line}`").into());
         };
         let known = |text: &str| (text != "-").then(|| text.to_owned());
         Ok(Self {
@@ -71,7 +71,7 @@ impl Program {
                 "many" => Takes::Many,
                 "few" => Takes::Few,
                 "slow" => Takes::Slow,
-                _ => return Err(format!("many, few or slow is needed, not `{takes}`").into()),
+                _ => return Err(format!("expected many, few or slow, got `{takes}`").into()),
             },
             command: command.into(),
             sized: known(sized),

@@ -80,8 +80,8 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
     });
     let lines = pools.into_iter().chain(moving).collect();
     board.table(
-        "rest, each frame by itself: a level pool raised by a cell in 8 steps, against its rise; \
-         and water whose particles move on by 0.1 spacings a step",
+        "stability, with each frame reconstructed separately: a level pool that rises by a cell in 8 \
+         steps, relative to the rise; and water whose particles move by 0.1 spacings per step",
         lines,
     )
 }

@@ -116,8 +116,8 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     });
     board.table(
         &format!(
-            "turned sheets whose layers are 1 / stretch^2 apart, jittered by {JITTER}: pieces / \
-             holes / volume over the particles', mean of {}",
+            "rotated sheets whose layers are 1 / stretch^2 apart, jittered by {JITTER}: pieces / \
+             holes / volume relative to the particles', mean of {}",
             seeds.len()
         ),
         sheets.chain(shells).collect(),
@@ -136,7 +136,7 @@ fn standing(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     board.table(
         &format!(
             "crowns of radius {CROWN_RADIUS} that stand on water, jittered by {JITTER}: pieces / \
-             holes / volume over the particles', mean of {}",
+             holes / volume relative to the particles', mean of {}",
             seeds.len()
         ),
         crowns.collect(),
@@ -159,8 +159,8 @@ fn in_filaments(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()
     });
     board.table(
         &format!(
-            "filaments of {LINKS} particles, jittered by {FILAMENT_JITTER}: pieces of a filament / \
-             volume over the particles', mean of {} times {FILAMENTS}",
+            "filaments of {LINKS} particles, jittered by {FILAMENT_JITTER}: pieces per filament / \
+             volume relative to the particles', mean of {} times {FILAMENTS}",
             seeds.len()
         ),
         lines.collect(),
@@ -185,7 +185,7 @@ fn in_spray(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     });
     board.table(
         &format!(
-            "spray at random places: pieces over clusters of particles that are at most \
+            "spray at random positions: pieces per cluster of particles that are at most \
              {LINKAGE} apart"
         ),
         lines.collect(),
@@ -200,7 +200,7 @@ fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -
             rows: [
                 "stretch at the first hole",
                 "frames in which holes close again",
-                "largest change of volume before",
+                "largest change of volume before the first hole",
             ]
             .map(row)
             .into(),

@@ -228,8 +228,9 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let rows = vec![format!("lone drops of {}: mean volume of each, 0 if lost", names.join(", "))];
     lines.push(line(rows, &drops, Box::new(|meshes, _| vec![of_drops(meshes)])));
     board.table(
-        "particles of several sizes, jittered by 0.3 sizes: mean of 3, pieces and bubbles of all; \
-         bias and RMS are in sizes, and the coarser size at seams; volume is over the particles'",
+        "particles of several sizes, jittered by 0.3 sizes: mean of 3, total numbers of pieces and \
+         bubbles; bias and RMS are in particle sizes, at seams in the coarser size; volume is \
+         relative to the particles'",
         lines,
     )
 }

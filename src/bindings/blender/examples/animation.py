@@ -37,7 +37,7 @@ for name, value in {"Base Color": (0.75, 0.92, 0.97, 1), "Roughness": 0.02, "IOR
     shader.inputs[name].default_value = value
 water.data.materials.append(glass)
 
-# The camera must see the water in all frames. The water has spread farthest in the last.
+# The camera must see the water in all frames. The water has spread farthest in the last frame.
 scene.frame_set(frames)
 corners = np.array([water.matrix_world @ Vector(corner) for corner in water.bound_box])
 low, high = corners.min(axis=0), corners.max(axis=0)

@@ -65,8 +65,8 @@ class Conversion:
         self.error = ""
         self.problems: list[str] = []
         self._end = threading.Event()
-        # The thread is a daemon because, at exit, Python waits for all other threads before it
-        # calls `_leave`.
+        # The thread is a daemon, because at exit Python waits for all threads that are not daemons
+        # before it calls `_leave`.
         self._thread = threading.Thread(target=self._run, name="meniscus conversion", daemon=True)
         atexit.register(self._leave)
 

@@ -270,7 +270,7 @@ def particles_up(mesh: bpy.types.Mesh) -> str | None:
 
 
 def spacing_used(mesh: bpy.types.Mesh) -> float | None:
-    """The spacing of the surface that a mesh shows; None if it shows none."""
+    """The spacing of the surface that a mesh should show; None if the surface cannot be computed."""
     arrays = _arrays_of(mesh)
     return arrays.spacing if arrays else None
 
@@ -303,7 +303,7 @@ def _before_frame(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
 
 @persistent
 def _after_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    # Blender knows the positions of objects at a frame only after it has evaluated the frame.
+    # The positions of objects at a frame are available only after Blender has evaluated the frame.
     if scene.frame_subframe == 0.0:
         update_all(scene, depsgraph, _is_of_objects)
 
@@ -328,7 +328,7 @@ def _after_load(_path: object, _other: object = None) -> None:
     _state.statuses.clear()
     _state.renders = False
     scene = bpy.context.scene
-    # A mesh that shows no surface has an empty name, or none.
+    # If a mesh shows no surface, its property `MADE` is empty or missing.
     _state.saved = {mesh.session_uid: (scene.frame_current, mesh[MADE]) for mesh in surfaces() if mesh.get(MADE)}
     _everything(scene)
 

@@ -49,7 +49,8 @@ def _add(context: bpy.types.Context, name: str) -> bpy.types.Object:
         other.select_set(False)
     added.select_set(True)
     context.view_layer.objects.active = added
-    # Lock the windows during renders, because renders change meshes that windows would read.
+    # Lock the windows during renders, because the windows would read meshes while the extension
+    # changes them for the render.
     context.scene.render.use_lock_interface = True
     return added
 
@@ -214,7 +215,7 @@ def play_volumes(context: bpy.types.Context, mesh: bpy.types.Mesh, output: str) 
     """Replaces the live surface with a Volume object that plays a conversion's volumes."""
     files = volumes.files_of(output)
     if not files:
-        raise OSError(f"{output}: no files")
+        raise OSError(f"{output}: the conversion wrote no files")
     added = volumes.add(context, f"{mesh.name} Volume", files, live.timing_of(mesh.meniscus))
     _replace(context, mesh, added)
     return added
@@ -271,7 +272,7 @@ def _poll(uid: int) -> float | None:
                 play_volumes(bpy.context, mesh, order.output)
             else:
                 play(bpy.context, mesh, order.stage)
-            conversion.message = f"Played from {order.stage or order.output}"
+            conversion.message = f"Playing {order.stage or order.output}"
         except (RuntimeError, OSError, ValueError) as error:
             conversion.error = str(error).strip()
     return None
@@ -315,7 +316,7 @@ class Cancel(bpy.types.Operator):
     """Cancel the conversion after the frames in progress; finished frames are kept"""
 
     bl_idname = "meniscus.cancel"
-    bl_label = "End"
+    bl_label = "Cancel"
 
     def execute(self, context: bpy.types.Context) -> Done:
         mesh = _active(context)

@@ -94,7 +94,7 @@ class MENISCUS_PT_shape(_Panel, bpy.types.Panel):
         if settings.solids is not None:
             layout.prop(settings, "solid_offset")
         if packed:
-            _sentence(layout, context, "Packed frames keep the spacing and the cells of packing, and have no velocities", "INFO")
+            _sentence(layout, context, "Packed frames keep the spacing and the cells with which they were packed, and have no velocities", "INFO")
         layout.prop(settings, "smooth")
         layout.prop(settings, "smallest_drop")
         layout.prop(settings, "simplify")

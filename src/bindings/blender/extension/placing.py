@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-#: The properties that determine an object's transform. The parent comes first, because the values
-#: of the others depend on it.
+#: The properties that determine an object's transform. The parent comes first, because the
+#: location, the rotation and the scale are relative to the parent.
 _TRANSFORM = (
     "parent", "parent_type", "parent_bone", "parent_vertices", "matrix_parent_inverse", "rotation_mode",
     "location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale",
@@ -14,7 +14,7 @@ _TRANSFORM = (
 
 
 def place(context: bpy.types.Context, added: bpy.types.Object, of: bpy.types.Object) -> None:
-    """Moves an object to the place of another one, and into the collections of that object."""
+    """Moves the object `added` to the place of the object `of`, and into the collections of `of`."""
     for collection in added.users_collection:
         collection.objects.unlink(added)
     for collection in of.users_collection:

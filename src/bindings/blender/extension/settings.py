@@ -70,7 +70,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     spacing: FloatProperty(
         name="Spacing",
-        description="Distance between neighbouring particles, in the unit of the particles; 0 takes it from the file of each frame, or estimates it",
+        description="Distance between neighbouring particles, in the unit of the particles; if 0, it is read from the file of each frame, or estimated",
         default=0.0,
         precision=5,
         step=0.1,
@@ -120,8 +120,8 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     solid_offset: FloatProperty(
         name="Offset",
-        description="Distance between the fluid and the solids, in particle spacings: a positive one leaves a gap, a negative one lets the fluid "
-        "reach into the solids, so that no gap shows",
+        description="Distance between the fluid and the solids, in particle spacings: a positive offset leaves a gap; with a negative offset, the fluid "
+        "reaches into the solids, so that no gap is visible",
         default=SOLID_OFFSET,
         min=-0.5,
         max=2.0,

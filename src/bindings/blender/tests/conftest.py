@@ -1,4 +1,4 @@
-"""Makes those modules importable that need no Blender, and writes a sequence of frames."""
+"""Makes the modules that do not need Blender importable, and writes a sequence of frames."""
 
 from __future__ import annotations
 

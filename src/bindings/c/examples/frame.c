@@ -9,7 +9,7 @@ struct particle {
 
 static int32_t tell(void *user, const MeniscusProgress *progress) {
   fprintf(user, "%s %3.0f %%\n", progress->name, 100 * progress->done);
-  return 0;  // Anything else would end the work.
+  return 0;  // Any other value cancels the work.
 }
 
 int main(int count, char **arguments) {

@@ -39,7 +39,7 @@ int main(int count, char **arguments) try {
     for (const auto &warning : mesh.warnings()) std::cerr << "frame " << frame << ": " << warning << '\n';
     mesh.overwrite(folder + "/frame_" + std::to_string(frame) + ".vtp");
     std::cout << "frame " << frame << ": " << mesh.triangle_count() << " triangles"
-              << (simulation.is_settled() ? ", alike from here on\n" : "\n");
+              << (simulation.is_settled() ? ", grid and calibration are fixed\n" : "\n");
   }
 } catch (const meniscus::Error &error) {
   std::cerr << error.what() << '\n';

@@ -70,8 +70,8 @@ pub type MeniscusProgressCallback =
     Option<unsafe extern "C" fn(user: *mut c_void, progress: *const MeniscusProgress) -> i32>;
 
 /// A handle with which any thread can cancel work. Cancelled calls return
-/// MENISCUS_STATUS_CANCELLED. So do later calls with the same handle, which therefore cannot be
-/// reused. The handle may be freed while calls use it.
+/// MENISCUS_STATUS_CANCELLED. Later calls with the same handle also return this code, so a
+/// cancelled handle cannot be reused. The handle may be freed while calls use it.
 #[derive(Debug, Default)]
 pub struct MeniscusCancel {
     pub cancel: Cancel,

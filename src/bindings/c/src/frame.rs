@@ -16,7 +16,7 @@ use crate::text::{path, put};
 /// A sampled frame, from which surfaces with different filters can be computed. It must be freed by
 /// meniscus_frame_free.
 ///
-/// Several threads may use a frame at the same time, as long as none frees it.
+/// Several threads may use a frame at the same time, as long as no thread frees it.
 pub struct MeniscusFrame {
     frame: Frame,
     warnings: Vec<CString>,

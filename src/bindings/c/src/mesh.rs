@@ -20,7 +20,7 @@ use crate::text::{buffer, path, put};
 /// A surface: a closed, oriented 2-manifold around the fluid. It must be freed by
 /// meniscus_mesh_free.
 ///
-/// Several threads may use a mesh at the same time, as long as none frees it.
+/// Several threads may use a mesh at the same time, as long as no thread frees it.
 pub struct MeniscusMesh {
     surface: Surface,
     outline: Outline,
@@ -120,8 +120,8 @@ impl MeniscusMesh {
     }
 
     /// Copies the mesh's values into the buffer `out`, which must have room for `needed` values.
-    /// `each` is called with the number of each piece, and passes the piece's values to its second
-    /// argument.
+    /// Calls `each` with the number of every piece of the mesh; `each` passes the values of this
+    /// piece to its second argument.
     ///
     /// # Safety
     /// The requirements of [`buffer`].

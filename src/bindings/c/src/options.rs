@@ -28,7 +28,7 @@ use crate::text::{array, optional, optional_path, path};
 /// CPU unless "backend" or "device" is set. A call with NULL instead of options uses all defaults.
 ///
 /// A call copies the options when it starts, so they may be changed or freed as soon as it returns.
-/// Several threads may use the same options at the same time, as long as none changes or frees
+/// Several threads may use the same options at the same time, as long as no thread changes or frees
 /// them.
 #[derive(Clone, Default)]
 pub struct MeniscusOptions {
@@ -65,7 +65,7 @@ macro_rules! options {
             }
 
             /// The key of the first option that is set.
-            #[allow(dead_code, reason = "asked of the frames of conversions alone")]
+            #[allow(dead_code, reason = "only `RequestParts::new` calls this, on `Frames`")]
             fn first(&self) -> Option<&'static str> {
                 [$(self.$key.is_some().then_some(stringify!($key))),*].into_iter().flatten().next()
             }
@@ -93,27 +93,27 @@ options! {
 options! {
     /// The frames of a conversion.
     Frames:
-    /// The first frame of the simulation, for meniscus_convert.
+    /// For meniscus_convert: the first frame of the simulation.
     start: i64 = frame,
-    /// The last frame of the simulation, for meniscus_convert.
+    /// For meniscus_convert: the last frame of the simulation.
     end: i64 = frame,
-    /// The step between the numbers of frames to convert, for meniscus_convert.
+    /// For meniscus_convert: the step between the numbers of frames to convert.
     step: u64 = step,
-    /// Convert only these frames of the simulation, such as 100..199, as one of several jobs, for
-    /// meniscus_convert.
+    /// For meniscus_convert: convert only these frames of the simulation, such as 100..199, as one
+    /// of several jobs.
     frames: (i64, i64) = range,
-    /// Resume an interrupted conversion: keeps finished frames. Changed settings are an error,
-    /// unless outputs may be overwritten, for meniscus_convert.
+    /// For meniscus_convert: resume an interrupted conversion, and keep finished frames. If
+    /// settings have changed, the conversion fails, unless `overwrite` is set.
     resume: bool = Source::switch,
-    /// Replace existing outputs, for meniscus_convert.
+    /// For meniscus_convert: replace existing outputs.
     overwrite: bool = Source::switch,
-    /// Follow a running simulation until its last frame, or until no file has appeared or
-    /// changed for this many seconds, for meniscus_convert.
+    /// For meniscus_convert: follow a running simulation until its last frame, or until no file
+    /// has appeared or changed for this many seconds.
     watch: f64 = Source::number,
-    /// Frames per second, if the files have no times, for meniscus_convert.
+    /// For meniscus_convert: frames per second, if the files have no times.
     fps: f64 = Source::number,
-    /// Join the frames with the same number from all inputs, such as several fluids, for
-    /// meniscus_convert.
+    /// For meniscus_convert: join the frames with the same number from all inputs, such as several
+    /// fluids.
     together: bool = Source::switch,
 }
 
@@ -445,8 +445,8 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
 /// Sets the function that receives the progress of a frame, and its argument `user`. If `progress`
 /// is NULL, no function receives it. meniscus_convert does not call the function.
 ///
-/// A simulation with these options can call the function until meniscus_simulation_free. Every
-/// other function of the library calls it only before that function returns.
+/// A simulation with these options can call this callback until the simulation is freed. All other
+/// functions of the library call the callback only before they return.
 ///
 /// `options` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
@@ -479,8 +479,8 @@ pub unsafe extern "C" fn meniscus_options_on_event(
     })
 }
 
-/// Sets the handle with which any thread can cancel the work, or none if `cancel` is NULL. The
-/// handle may be freed before the options.
+/// Sets the handle with which any thread can cancel the work. If `cancel` is NULL, removes the
+/// current handle. The handle may be freed before the options.
 ///
 /// If a callback cancels the work, this also cancels the handle.
 ///

@@ -54,7 +54,7 @@ pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
     }
     // SAFETY: zeros are valid for all fields of a `Growing` structure.
     let mut value: T = unsafe { std::mem::zeroed() };
-    // SAFETY: `known` is no longer than `value`, and `Growing` allows any bytes from the caller.
+    // SAFETY: `known` is at most as long as `value`, and `Growing` allows all bytes of the caller.
     unsafe { std::ptr::copy_nonoverlapping(known.as_ptr(), (&raw mut value).cast(), known.len()) };
     Ok(value)
 }

@@ -49,7 +49,7 @@ pub unsafe fn path(at: *const c_char, what: &str) -> Outcome<PathBuf> {
     path.ok_or_else(|| Failure::request(format!("{what} is NULL")))
 }
 
-/// Reads the caller's array of strings, none of which may be NULL.
+/// Reads the caller's array of strings. Returns an error if one of the strings is NULL.
 ///
 /// # Safety
 /// `at` must be NULL or point to `count` pointers. Each pointer must meet the requirements of

@@ -201,7 +201,7 @@ static void particles_are_refused(void) {
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1},
       {.size = sizeof *twins, .name = "heat", .values = positions, .components = 1}};
   PARTICLES(REQUEST, "another attribute is called \"heat\"", .attributes = twins, .attribute_count = 2);
-  // Test frames in which all particles are left out, or all have the same position.
+  // Test particles that all have the same position, and particles that are all skipped as invalid.
   static float nowhere[COUNT][3];
   MeniscusParticles same = particles_of(nowhere);
   REFUSED(INPUT, "spacing", meniscus_reconstruct(&same, NULL, &mesh));
@@ -324,6 +324,6 @@ static int test(int count, char **arguments) {
   particles_are_refused();
   files_are_refused(arguments[1]);
   conversions_are_refused(arguments[1]);
-  puts("refused, each with what and where");
+  puts("all bad input gave the expected code and message");
   return 0;
 }

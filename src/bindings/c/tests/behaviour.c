@@ -171,7 +171,7 @@ static void progress_is_reported_and_can_cancel_the_work(const char *folder) {
   MeniscusMesh *mesh;
   OK(meniscus_reconstruct(&particles, options, &mesh));
   CHECK(reports.stages[MENISCUS_STAGE_COUNTING] && reports.stages[MENISCUS_STAGE_MESHING] && reports.stages[MENISCUS_STAGE_SIMPLIFYING]);
-  // The call has returned, so its callback must not be called any more.
+  // The call has returned, so the library must no longer call its callback.
   int calls = reports.calls;
   char path[512];
   snprintf(path, sizeof path, "%s/reports.obj", folder);
@@ -311,7 +311,8 @@ static int32_t note(void *user, const MeniscusEvent *event) {
   return 0;
 }
 
-/// Cancels before the first frame, because all other frames may also be finished after it.
+/// Cancels before the first frame. If a callback cancelled after this frame, all other frames might
+/// already be finished.
 static int32_t stop(void *user, const MeniscusEvent *event) {
   (void)user;
   return event->kind == MENISCUS_EVENT_KIND_STARTED;
@@ -477,6 +478,6 @@ static int test(int count, char **arguments) {
   a_conversion_reports_finished_and_failed_frames(arguments[1]);
   frames_before_the_first_are_joined(arguments[1]);
   two_threads_do_not_disturb_each_other();
-  puts("as the header says");
+  puts("the library keeps the guarantees of the header");
   return 0;
 }

@@ -59,4 +59,4 @@ if __name__ == "__main__":
             water, velocity = advance(water, velocity)
         mesh = simulation.frame(water, velocity=velocity)
         mesh.write(Path(sys.argv[1]) / f"water_{frame:03}.ply", overwrite=True)
-        print(f"frame {frame}: {len(mesh.triangles)} triangles hold {mesh.volume:.4f} of {len(water) * SPACING**3:.4f}")
+        print(f"frame {frame}: {len(mesh.triangles)} triangles; mesh volume {mesh.volume:.4f}, fluid volume {len(water) * SPACING**3:.4f}")

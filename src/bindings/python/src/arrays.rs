@@ -143,7 +143,7 @@ impl Numbers {
     /// # Panics
     /// If there are fewer columns.
     pub fn column(&self, column: usize) -> Self {
-        assert!(column < self.columns, "columns of an array");
+        assert!(column < self.columns, "column out of range");
         let first = self.first.wrapping_offset(column as isize * self.strides[1]);
         Self { first, columns: 1, ..*self }
     }
@@ -192,7 +192,7 @@ impl Numbers {
         load: impl Fn(*const u8) -> T,
         mut put: impl FnMut(usize, T),
     ) {
-        assert!(first.checked_add(rows).is_some_and(|end| end <= self.rows), "rows of an array");
+        assert!(first.checked_add(rows).is_some_and(|end| end <= self.rows), "rows out of range");
         let mut number = 0;
         for row in first..first + rows {
             for column in 0..self.columns {
@@ -301,7 +301,7 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
         };
         return Err(PyTypeError::new_err(format!("{name}: the array has a mask; use {way}")));
     }
-    let called = || dtype.str().map_or_else(|_| "another".into(), |text| text.to_string());
+    let called = || dtype.str().map_or_else(|_| "another type".into(), |text| text.to_string());
     let kind = Kind::of(dtype.kind(), dtype.itemsize());
     let kind = match kind.filter(|kind| types == Types::Numbers || kind.is_float()) {
         Some(kind) => kind,

@@ -33,7 +33,7 @@ fn is_of_file(error: &Error) -> bool {
     }
 }
 
-/// The number of the system's error that caused an error of the library, as in Python's `errno`.
+/// The `errno` of the system's error that caused an error of the library, if there is one.
 fn system_error(error: &Error) -> Option<i32> {
     match error {
         Error::Write(WriteError {
@@ -55,8 +55,8 @@ fn errno(fault: &io::Error) -> Option<i32> {
     fault.raw_os_error()
 }
 
-/// Python's `errno` of a system's error. On other systems, the numbers of the system differ from
-/// those of the C library, which Python uses.
+/// Python's `errno` of a system's error. On systems other than Unix, the operating system's error
+/// codes differ from those of the C library, which Python uses.
 #[cfg(not(unix))]
 fn errno(fault: &io::Error) -> Option<i32> {
     match fault.kind() {
@@ -104,7 +104,7 @@ fn file_error(error: &Error, text: &str) -> PyErr {
     })
 }
 
-/// The keywords that let a call replace existing files; empty for other errors.
+/// A hint at the keywords that let a call replace existing files; empty for other errors.
 fn ways_to_replace(error: &Error) -> &'static str {
     match error {
         Error::Write(WriteError { fault: WriteFault::Exists, .. }) => {

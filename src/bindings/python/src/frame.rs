@@ -56,7 +56,7 @@ impl Frame {
     ) -> PyResult<Reconstruction> {
         let all = self.asked.bind(py).copy()?;
         if let Some(keywords) = keywords {
-            // Only keywords of a surface are allowed here: this call rejects all others.
+            // Reject keywords outside `KeywordGroup::Surface`.
             Keywords::of(function, Some(keywords), &[KeywordGroup::Surface])?;
             all.update(keywords.as_mapping())?;
         }
@@ -139,8 +139,8 @@ impl Frame {
     ///     Use only particles whose attributes satisfy conditions, such as "Type=1" or "age<2.5";
     ///     ``type`` selects one of several types of particles in a file.
     ///
-    /// Other keywords are those of ``reconstruct``. For a packed frame, keywords of the sampling
-    /// cause an error.
+    /// Other keywords are those of ``reconstruct``. For a packed frame, keywords that affect the
+    /// sampling cause an error.
     #[staticmethod]
     #[pyo3(
         signature = (path, *, progress=None, **keywords),

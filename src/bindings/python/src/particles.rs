@@ -70,8 +70,9 @@ impl<'py> Arrays<'py> {
         }
     }
 
-    /// The name of the first attribute that is not in `names`; `None` if all are. Without `names`,
-    /// only the velocity is expected: an attribute "velocity" with three components.
+    /// The name of the first attribute that is not in `names`; `None` if `names` contains all
+    /// attributes. Without `names`, only the velocity is expected: an attribute "velocity" with
+    /// three components.
     pub fn beyond(&self, names: Option<&[String]>) -> Option<&str> {
         let is_known = |name: &String, held: &HeldArray<'_>| match names {
             Some(names) => names.contains(name),
@@ -81,8 +82,8 @@ impl<'py> Arrays<'py> {
         Some(name)
     }
 
-    /// The names of all attributes; `None` if there is none besides the velocity, because the
-    /// library uses the velocity by default.
+    /// The names of all attributes; `None` if there are no attributes other than the velocity,
+    /// because the library uses the velocity by default.
     pub fn named(&self) -> Option<Vec<String>> {
         self.beyond(None)?;
         Some(self.others.iter().map(|(name, _)| name.clone()).collect())

@@ -87,7 +87,7 @@ use crate::work::{Work, with_progress};
 /// up, particles_up : "y" or "z", optional
 ///     Axis that points up in mesh files, and axis that points up in the particles.
 /// backend : "auto", "cpu" or "vulkan", optional
-///     Where to compute; the mesh has the same bytes everywhere.
+///     Where to compute; the mesh has the same bytes on every backend.
 /// device : str or int, optional
 ///     Vulkan device, by number, UUID or part of its name.
 /// threads : int, optional

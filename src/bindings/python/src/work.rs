@@ -20,8 +20,8 @@ use crate::memory::give_back;
 
 /// Runs `act` on temporary threads, one per core.
 ///
-/// The shared threads of rayon must not be used: if the caller forks, they do not exist in the
-/// child process, which would wait for them forever.
+/// Rayon's global thread pool must not be used: if the caller forks, the pool's threads do not
+/// exist in the child process, which would wait for them forever.
 pub fn on_all_cores<T: Send>(act: impl FnOnce() -> T + Send) -> Result<T, Error> {
     on_threads(0, act)
 }
@@ -136,8 +136,8 @@ impl Work<Progress> {
         }
         let sender = self.sender.clone();
         request.progress(move |progress| {
-            // Ignore failures: writing the surface later also reports progress, and by then nobody
-            // receives it.
+            // Ignore failures: writing the surface later also reports progress, and by then the
+            // receiver no longer exists.
             let _ = sender.send(Message::Event(progress));
         })
     }

@@ -23,7 +23,7 @@ def program() -> Program:
     newest = max(built, key=lambda path: path.stat().st_mtime, default="")
     found = str(os.environ.get("MENISCUS", newest))
     if not found:
-        pytest.fail("the program is not built: cargo build, or name it in MENISCUS")
+        pytest.fail("the program is not built; run `cargo build`, or set MENISCUS to its path")
 
     def run(*arguments: object) -> str:
         command = [found, *map(str, arguments)]

@@ -21,7 +21,7 @@ class OnlyDLPack:
         self.of, self.where, self.device = of, device, name
 
     def __dlpack__(self, **keywords: Any) -> Any:
-        assert self.where[0] == 1, "nobody asks for what is on a device"
+        assert self.where[0] == 1, "meniscus must not read an array on a device"
         return self.of.__dlpack__(**keywords)
 
     def __dlpack_device__(self) -> tuple[int, int]:

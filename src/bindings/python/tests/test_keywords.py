@@ -29,16 +29,16 @@ OF_FILES = {
     "together": "Simulation has it; Frame.load() takes a list of files",
 }
 OF_THE_PROGRAM = {
-    "plan": "Simulation.plan() is it",
-    "parts": "a mesh in parts is one of files, on many machines: jobs call the program",
-    "part": "as parts",
-    "merge": "as parts",
-    "dry_run": "it prints",
+    "plan": "Simulation.plan() does this",
+    "parts": "jobs on several machines make a mesh in parts from files, and call the program",
+    "part": "for the same reason as parts",
+    "merge": "for the same reason as parts",
+    "dry_run": "it only prints",
     "stats": "Mesh.report has them",
-    "quiet": "nothing is printed",
-    "verbose": "nothing is printed",
-    "help": "it prints",
-    "version": "meniscus.__version__ is it",
+    "quiet": "the module prints nothing",
+    "verbose": "the module prints nothing",
+    "help": "it only prints",
+    "version": "meniscus.__version__ contains it",
 }
 SIMULATION = set(OF_FILES) - {"output"}
 # Keywords that are not options: arrays besides the positions, and the progress callback.
@@ -126,7 +126,7 @@ def options(program: Any) -> set[str]:
 
 def test_every_option_of_reconstruct_is_a_keyword(options: set[str]) -> None:
     assert len(options) > 40
-    assert set(OF_FILES) | set(OF_THE_PROGRAM) <= options, "an exception is no option any more"
+    assert set(OF_FILES) | set(OF_THE_PROGRAM) <= options, "OF_FILES or OF_THE_PROGRAM contains a name that is not an option"
     wanted = options - set(OF_FILES) - set(OF_THE_PROGRAM)
     for function in meniscus.reconstruct, meniscus.Frame:
         assert keywords(function) == wanted | OWN

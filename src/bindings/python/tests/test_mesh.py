@@ -32,7 +32,7 @@ def test_arrays_have_the_documented_shapes_and_types_and_are_the_callers(ball: A
     for values in mesh.vertices, mesh.triangles, mesh.triangles_u64, mesh.normals, *mesh.attributes.values():
         assert values.flags.writeable and values.flags.c_contiguous
     mesh.vertices[0] = 7.0
-    assert mesh.vertices[0, 0] == 7.0, "they are the same objects"
+    assert mesh.vertices[0, 0] == 7.0, "each access returns the same array"
     assert meniscus.reconstruct(ball).normals is None
 
 

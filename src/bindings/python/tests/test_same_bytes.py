@@ -1,4 +1,4 @@
-"""Files have the same bytes as the program's."""
+"""Files that this module writes have the same bytes as the program's files."""
 
 from __future__ import annotations
 

@@ -33,7 +33,8 @@ impl FrameRows {
             (Some(step), Some(steps)) if step < steps => step,
             (None, Some(steps)) if steps > 1 => return Err(several_steps(0, steps - 1)),
             (step, _) => {
-                let step = step.map_or("steps at all".to_owned(), |step| format!("step {step}"));
+                let step =
+                    step.map_or("step in the file".to_owned(), |step| format!("step {step}"));
                 return Err(ReadFault::Unsupported(format!("there is no {step}")));
             }
         };
@@ -45,7 +46,10 @@ impl FrameRows {
             if sets.iter().any(|set| set == "NumberOfParts") { at("NumberOfParts")? } else { 1 };
         let end = first.checked_add(parts).filter(|end| *end <= all);
         let end = end.ok_or_else(|| {
-            malformed(0, format!("a step has {parts} parts from {first}, but there are {all}"))
+            malformed(
+                0,
+                format!("a step has {parts} partitions from {first} on, but the file has {all}"),
+            )
         })?;
         Ok(Self { step: Some(step), parts: [first, end], point: at("PointOffsets")? })
     }

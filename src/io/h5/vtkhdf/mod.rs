@@ -51,9 +51,9 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok((0..steps).collect())
 }
 
-/// Reads the points as particles. The frame must not have cells with an area or a volume, and
-/// PolyData must have none in any frame. A point is left out if all of its vertex cells are flagged
-/// as copies or hidden.
+/// Reads the points as particles. Returns [`ReadFault::Mesh`] if the frame of an UnstructuredGrid
+/// has a cell with an area or a volume, or if PolyData has polygons or strips in any frame. A point
+/// is left out if all of its vertex cells are flagged as copies or hidden.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,

@@ -16,7 +16,8 @@ use crate::particles::sieve::Sieve;
 
 use super::json::{Json, JsonEvent, JsonNumber, JsonNumbers, Storage};
 
-/// Maximum number of components of an attribute. An attribute with more components is a spectrum.
+/// Maximum number of components of an attribute. Attributes with more components, such as spectra,
+/// are left out.
 pub const MOST_COMPONENTS: u64 = 64;
 /// Maximum number of texts in a text attribute by which particles can be selected.
 pub const MOST_TEXTS: usize = 4096;
@@ -374,7 +375,7 @@ impl SchemaReader<'_, '_, '_> {
         let at = self.gathered.len() as usize;
         let mut chunk = Vec::new();
         numbers.each(bytes, endian, |number| {
-            number.put(scalar, &mut chunk).expect("it was of this type");
+            number.put(scalar, &mut chunk).expect("a number fits its own type");
             if chunk.len() >= CHUNK {
                 self.gathered.push(&chunk)?;
                 chunk.clear();

@@ -47,7 +47,7 @@ class Cache(Generic[V]):
     def put(self, key: Hashable, value: V) -> None:
         """Adds a value, and removes the least recently used values until the limit is met."""
         self.drop(key)
-        # A value that does not fit would only remove all other values.
+        # A value larger than the limit would remove all other values, and then also be removed.
         if value.nbytes <= self._bound:
             self._values[key] = value
             self.nbytes += value.nbytes

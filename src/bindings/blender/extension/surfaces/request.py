@@ -69,7 +69,7 @@ class FromFile:
 
     @property
     def asked(self) -> Sampling:
-        """The settings of the sampling; none for a packed frame, which refuses them."""
+        """The settings of the sampling; no values are set for a packed frame, which accepts none."""
         return Sampling() if self.is_packed else self.sampling
 
 
@@ -114,7 +114,8 @@ class Request:
     def key(self) -> Hashable:
         """A key for the cache: different surfaces have different keys."""
         key = self.source.key, self.filters
-        # The key of a surface without solids must stay the same as in older versions.
+        # Without solids, the key must be the same as in older versions, because .blend files store
+        # a hash of the key.
         return (*key, self.solids.key) if self.solids.meshes else key
 
     @property

@@ -31,7 +31,7 @@ def check(sentence: Callable[[], None]) -> Callable[[], None]:
 
 
 def count_making() -> None:
-    """From now on, appends to `made` the source of every computed surface."""
+    """Replaces `Maker.make`, so that it appends the source of every computed surface to `made`."""
     make = extension.surfaces.request.Maker.make
 
     def counted(self: Any, request: Any) -> Any:
@@ -63,7 +63,7 @@ def a_new_surface_is_the_librarys_and_stands_upright() -> None:
     shown = dam()
     settings = shown.data.meniscus
     assert shows(shown.data, expected(1)) and abs(settings.spacing - 0.05) < 1e-7 and settings.first == 1
-    assert abs(shown.rotation_euler.x - np.pi / 2) < 1e-6, "y is up in .bgeo"
+    assert abs(shown.rotation_euler.x - np.pi / 2) < 1e-6, "y is the up axis of .bgeo files"
     assert bpy.context.scene.render.use_lock_interface
     velocity = np.empty(3 * len(shown.data.vertices), np.float32)
     shown.data.attributes["velocity"].data.foreach_get("vector", velocity)
@@ -357,7 +357,7 @@ def cube_in(collection: bpy.types.Collection, size: float, place: tuple[float, f
 
 
 def touches(shown: bpy.types.Object, cube: bpy.types.Object, half: float) -> bool:
-    """Whether more than 50 vertices are on a cube's sides, and none is deeper than 0.05 inside it."""
+    """Whether more than 50 vertices are on a cube's sides, and no vertex is more than 0.05 inside the cube."""
     world = positions(shown.data) @ np.array(shown.matrix_world)[:3, :3].T + np.array(shown.matrix_world)[:3, 3]
     outside = np.abs(world - np.array(cube.matrix_world)[:3, 3]).max(axis=1) - half
     return int((np.abs(outside) < 0.01).sum()) > 50 and bool((outside > -0.05).all())
@@ -607,7 +607,7 @@ def a_conversion_takes_the_place_of_the_live_surface() -> None:
         assert not np.allclose(places[0], places[2]) and first.matrix_world != second.matrix_world
         if kind == "MESHES":
             evaluated = first.evaluated_get(bpy.context.evaluated_depsgraph_get())
-            assert np.allclose(positions(evaluated.data), expected(20, cell=0.5).vertices, atol=1e-5), "the axes of the particles"
+            assert np.allclose(positions(evaluated.data), expected(20, cell=0.5).vertices, atol=1e-5), "the files must keep the axes of the particles"
 
 
 @check
@@ -679,7 +679,7 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
     settings.path = str(options.folder / "nowhere_{}.bgeo")
     try:
         operators.order_of(shown.data, scene)
-        raise AssertionError("converts files that do not exist")
+        raise AssertionError("order_of accepted files that do not exist")
     except meniscus.Error as error:
         assert "nowhere_" in str(error), error
 

@@ -87,6 +87,6 @@ for given in inputs:
     began = time.perf_counter()
     bpy.ops.render.render(write_still=True)
     bpy.app.handlers.render_post.clear()
-    assert len(shown.data.polygons) == coarse, "the viewport is coarse again"
+    assert len(shown.data.polygons) == coarse, "after the render, the viewport must show coarse cells again"
     assert drawn[0] > 2 * coarse or str(given).endswith(".mnf"), (drawn, coarse)
     print(f"{given.name}: {coarse} triangles in the viewport, {drawn[0]} in the render, {time.perf_counter() - began:.0f} s", flush=True)

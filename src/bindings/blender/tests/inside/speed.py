@@ -74,9 +74,9 @@ def cell_of(cell: float) -> None:
     medians = {name: statistics.median(values) for name, values in found.items()}
     bound = medians["library"] + 1.5 * medians["bare"]
     print(
-        f"cells of {cell}: {made[0].report.particles} particles, {len(shown.data.polygons)} triangles; a frame's change {medians['change']:.3f} s, "
-        f"the library {medians['library']:.3f} s, a bare update {medians['bare']:.3f} s: {medians['change'] / bound:.2f} of the library and 1.5 bare updates; "
-        f"a frame that is kept {medians['again']:.3f} s",
+        f"cells of {cell}: {made[0].report.particles} particles, {len(shown.data.polygons)} triangles; frame change {medians['change']:.3f} s, "
+        f"library {medians['library']:.3f} s, bare update {medians['bare']:.3f} s; frame change / (library + 1.5 bare updates): {medians['change'] / bound:.2f}; "
+        f"cached frame {medians['again']:.3f} s",
         flush=True,
     )
 
@@ -98,7 +98,7 @@ def memory() -> None:
         if change in (0, 10, 25, 50, 100, 150, CHANGES):
             before.append(f"{change}: {resident():.0f}")
     kept, size = live.cached()
-    print(f"resident MiB after changes {', '.join(before)}; kept {kept} surfaces of {size / 2**20:.1f} MiB, bound 32", flush=True)
+    print(f"resident MiB after changes {', '.join(before)}; {kept} cached surfaces use {size / 2**20:.1f} MiB, the limit is 32", flush=True)
 
 
 for cell in (1.0, 0.5):

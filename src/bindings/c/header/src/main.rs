@@ -26,8 +26,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 #[test]
 fn the_committed_c_header_is_up_to_date() {
-    let made = String::from_utf8(header().expect("made")).expect("text");
-    let there = std::fs::read_to_string(interface().join("include/meniscus.h")).expect("there");
-    assert!(made == there, "`cargo run -p meniscus-c-header` renews include/meniscus.h");
+    let made = String::from_utf8(header().expect("cbindgen succeeds")).expect("UTF-8");
+    let there = std::fs::read_to_string(interface().join("include/meniscus.h")).expect("a header");
+    assert!(made == there, "meniscus.h is out of date; run `cargo run -p meniscus-c-header`");
     assert!(made.matches("\nMeniscusStatus meniscus_").count() > 15);
 }

@@ -20,14 +20,14 @@ class InputError(Error, ValueError):
 class FileError(Error, OSError):
     """A file that cannot be read or written.
 
-    If the system refuses to read or write it, ``errno`` and ``strerror`` are those of the system's
-    error, and the exception also has Python's class for this error, such as ``FileNotFoundError``,
-    ``PermissionError`` or ``FileExistsError``. Otherwise, both are None. ``filename`` is the file or
-    the folder, or None.
+    If the operating system reports an error, ``errno`` and ``strerror`` describe this error, and the
+    exception is also an instance of Python's class for it, such as ``FileNotFoundError``,
+    ``PermissionError`` or ``FileExistsError``. Otherwise, ``errno`` and ``strerror`` are None.
+    ``filename`` is the file or the folder, or None.
     """
 
     def __str__(self) -> str:
-        # The message of OSError would consist of its fields.
+        # OSError.__str__ would return errno, strerror and filename instead of the message.
         return str(self.args[0]) if self.args else ""
 
     def __reduce__(self) -> tuple[Any, ...]:
