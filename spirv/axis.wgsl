@@ -19,7 +19,7 @@ var<immediate> push: AxisPush;
 @group(0) @binding(1) var<storage, read> samples: array<u32>;
 @group(0) @binding(2) var<storage, read_write> filtered: array<u32>;
 
-// The results of eight cells so far, and the weight of the last tap in each of them. Along x, `a`
+// The results of eight cells so far, and the weight of the last tap for each cell. Along x, `a`
 // has the first four cells of the run, and `b` the last four. Along the other axes, `a` has the
 // first cell of each pair, and `b` the second.
 struct Run {
@@ -66,8 +66,8 @@ fn filter_run(number_of_block: u32, number: u32) {
     at[push.axis] *= RUN;
     at.x *= 2u;
     at += vec3<u32>(lo);
-    // The mirrors along this axis, relative to the block. Cells that are not needed can have taps
-    // beyond the block.
+    // The mirrors along this axis, relative to the block. Taps of cells that are not needed can lie
+    // beyond the block; they are clamped to the block.
     let last = i32(block.size[push.axis]) - 1;
     let mirrors = vec2(push.mirror_lo[push.axis], push.mirror_hi[push.axis])
         - 2 * block.lo[push.axis];

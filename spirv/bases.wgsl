@@ -6,9 +6,9 @@
 struct BasesPush {
     // Blocks of the batch.
     blocks: u32,
-    // The maximum number of vertices for which there is memory.
+    // The number of vertices for which there is memory.
     room: u32,
-    // Maximum number of work groups in a row.
+    // Maximum number of work groups in a row of `groups`.
     width: u32,
 }
 

@@ -1,9 +1,9 @@
 // A hash table of bins. Bins are never removed, so each bin has one slot.
 
 struct BinSlot {
-    // 0 for a free slot; SETTLED if `key` is known. Otherwise, a particle of the chunk has taken
-    // the slot: `owner` is 1 plus the particle's number in the chunk, and the slot has the key of
-    // that particle.
+    // 0 for a free slot; SETTLED if `key` is set. Otherwise, a particle of the chunk has taken the
+    // slot: `owner` is 1 plus the particle's number in the chunk, and the slot belongs to the bin
+    // of that particle.
     owner: atomic<u32>,
     // Particles in the bin.
     count: atomic<u32>,

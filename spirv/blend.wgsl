@@ -1,4 +1,4 @@
-// Blends the shares of drops with those of sheets, weighted by the certainty of the sheets.
+// Blends the shares of drops with the shares of sheets, weighted by the certainty of the sheets.
 
 struct BlendPush {
     // Words of the fields.

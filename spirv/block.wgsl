@@ -23,7 +23,8 @@ fn word_of(block: Block, at: vec3<u32>) -> u32 {
     return block.field + at.x / 2u + block.size.x / 2u * (at.y + block.size.y * at.z);
 }
 
-// The pair of cells of word number `word` of the block; beyond its end, z is too large.
+// The lower cell of the pair in word number `word` of the block, relative to the block's lowest
+// cell. If the word is beyond the end of the block, z is at least the block's size along z.
 fn cell_of(block: Block, word: u32) -> vec3<u32> {
     let row = word / (block.size.x / 2u);
     return vec3(2u * (word % (block.size.x / 2u)), row % block.size.y, row / block.size.y);

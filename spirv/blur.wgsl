@@ -1,7 +1,9 @@
 //! with block mirror axis
-// One axis of a separable filter: (sum over taps of weight * sample + half) >> shift, up to 65535.
+// One axis of a separable filter: (sum over taps of weight * sample + 2^(shift - 1)) >> shift, at
+// most 65535.
 
-// The weight of the centre, then of the cells at distances 1, 2, ... on either side.
+// The weight of the centre, followed by the weights of the cells at distances 1, 2, ... on each
+// side.
 @group(0) @binding(3) var<storage, read> half_weights: array<u32>;
 
 fn weight_of(k: i32) -> u32 {

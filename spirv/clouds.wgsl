@@ -1,7 +1,7 @@
 //! with binned brick
 // The discrete indicator function of clouds; each work group computes a part of a bin's samples.
-// Shared memory has atomic sums of the particles' contributions to the bricks of their cells,
-// including these bricks' ghost layers.
+// Atomic sums in shared memory add up the contributions of the particles. A particle contributes
+// only to the brick of its cell, including the brick's ghost layer.
 
 struct CloudsPush {
     // The lowest cell within the walls, and the highest.
@@ -26,8 +26,8 @@ var<immediate> push: CloudsPush;
 
 var<workgroup> sums: array<atomic<u32>, CLOUD_SAMPLES>;
 
-// Sums above this limit stay above 65535, so they saturate; the margin prevents an overflow of 32
-// bits.
+// If a sum has reached this limit, further values are subtracted again, which prevents an overflow
+// of 32 bits. The result is 65535 in any case.
 const ENOUGH: u32 = 1u << 31u;
 
 fn add(at: u32, value: u32) {

@@ -64,7 +64,7 @@ fn rounded(sign: u32, significand: vec2<u32>, exponent: i32) -> vec2<u32> {
 
 fn f64_add(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     if !is_finite(a) || !is_finite(b) {
-        // A sum of two non-finite numbers exists only for equal infinities.
+        // The sum of two non-finite numbers is NaN, unless they are equal infinities.
         let none = !is_finite(a) && !is_finite(b) && any(a != b);
         return select(select(a, b, is_finite(a)), vec2(1u, EXPONENT), none);
     }
@@ -101,14 +101,15 @@ fn f64_mul(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     return rounded(x.sign ^ y.sign, bits, x.exponent + y.exponent + 64);
 }
 
-// The divisor is finite and not 0; `reciprocal` is (2^116 - 1) / its significand of 53 bits.
+// The quotient a / b. The divisor must be finite and not 0. `reciprocal` must be (2^116 - 1)
+// divided by the divisor's significand of 53 bits.
 fn f64_div(a: vec2<u32>, b: vec2<u32>, reciprocal: vec2<u32>) -> vec2<u32> {
     if !is_finite(a) {
         return vec2(a.x, a.y ^ (b.y & SIGN));
     }
     let x = normalised(a);
     let y = normalised(b);
-    // floor(x 2^55 / y), or 1 less.
+    // At first, `quotient` is floor(x 2^55 / y) or 1 less, for the significands x and y.
     var quotient = right(high_product(x.significand, reciprocal), 8u);
     let divisor = right(y.significand, 11u);
     var rest = minus(vec2(0u, right(x.significand, 11u).x << 23u), low_product(quotient, divisor));
@@ -121,7 +122,7 @@ fn f64_div(a: vec2<u32>, b: vec2<u32>, reciprocal: vec2<u32>) -> vec2<u32> {
     return rounded(x.sign ^ y.sign, vec2(bits.x | lost, bits.y), x.exponent - y.exponent - 56);
 }
 
-// a / b for 0 < a < b < 2^17.
+// The quotient a / b for 0 < a < b < 2^17.
 fn f64_ratio(a: u32, b: u32) -> vec2<u32> {
     var shift = countLeadingZeros(a) - countLeadingZeros(b);
     shift -= u32(a << shift >= b);
@@ -141,7 +142,7 @@ fn f64_half(a: i32) -> vec2<u32> {
     return rounded(bitcast<u32>(a) & SIGN, vec2(u32(abs(a)), 0u), -1);
 }
 
-// a <= b, where neither is NaN.
+// Whether a <= b. Neither number may be NaN.
 fn f64_at_most(a: vec2<u32>, b: vec2<u32>) -> bool {
     if (((a.y | b.y) & ~SIGN) | a.x | b.x) == 0u {
         return true;
@@ -163,7 +164,7 @@ fn f64_min(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     return select(a, b, f64_at_most(b, a));
 }
 
-// The single-precision numbers below are given as bits.
+// The functions below take and return single-precision numbers as their bits.
 fn f64_from_f32(a: u32) -> vec2<u32> {
     let sign = a & SIGN;
     var biased = i32((a >> 23u) & 0xffu) + 896;

@@ -1,9 +1,10 @@
 //! with block brick
-// Finds the full bricks of a bin of wide cells: a brick is full if every cube that overlaps it has
-// a sufficient sum. One work group per bin, with a margin of cells for the cubes.
+// Finds the full bricks of a bin of wide cells. A brick is full if the samples in every cube that
+// overlaps the brick have a sufficient sum. One work group per bin. The block of a bin has a margin
+// of cells for the cubes.
 
 struct FullBricksPush {
-    // Edge of the cubes, in parts of two cells.
+    // The edge of the cubes, in parts. The edge of a part is two cells.
     width: u32,
     // The minimum sum of a cube.
     least: u32,
@@ -17,7 +18,7 @@ var<immediate> push: FullBricksPush;
 
 // Sums of the parts of the bin and its margin, x fastest.
 var<workgroup> sums: array<u32, CUBE_PARTS>;
-// A bit for each cube, by its lowest part.
+// A bit for each cube, by its lowest part: whether the cube's sum is sufficient.
 var<workgroup> full: array<atomic<u32>, CUBE_WORDS>;
 var<workgroup> mask: array<atomic<u32>, 2>;
 

@@ -44,7 +44,8 @@ fn bins_of(block: Block) -> Bins {
     return Bins(first, ((block.lo + vec3<i32>(block.size) - 1 + ghost_layer) >> vec3(BIN_BITS)) - first + 1);
 }
 
-// The stored samples of a pair of cells in one brick, which is given by its coordinates.
+// The samples of a pair of cells that are stored for one brick. `brick` has the brick's
+// coordinates.
 fn stored(block: Block, bins: Bins, cell: vec3<i32>, brick: vec3<i32>) -> vec2<u32> {
     let corner = brick << vec3(push.brick_bits);
     let bin = (corner >> vec3(BIN_BITS)) - bins.first;

@@ -1,4 +1,4 @@
-// Section 6.2: the greater of two fields, sample by sample.
+// Computes the greater of two fields, sample by sample (section 6.2 of the paper).
 
 struct GreaterPush {
     // Words of the field.

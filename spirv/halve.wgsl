@@ -10,8 +10,8 @@ struct HalvePush {
 }
 
 var<immediate> push: HalvePush;
-// Each block has the finer cells of a bin of wide cells within the walls, and begins one cell below
-// the lowest wide cell.
+// Each block has the finer cells of a bin of wide cells, as far as they are within the walls. The
+// block begins one finer cell below the lowest wide cell.
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;

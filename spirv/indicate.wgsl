@@ -4,7 +4,7 @@
 // particles is stored, and a table converts it to theta (eq. 6) when samples are gathered.
 
 struct IndicatePush {
-    // Whether the indicator is counting; 0 for symmetry.
+    // Not 0 for counting, 0 for symmetry.
     counting: u32,
 }
 
@@ -59,10 +59,12 @@ fn divided(a: vec2<u32>, n: u32, bits: u32) -> vec2<u32> {
     return vec2(quotient, rest.x);
 }
 
-// |D| / n, where |D| is the deviation, from 0 to n F, rounded to 1 / DISTANCE_SCALE of a step.
+// |D| / n in units of 1 / DISTANCE_SCALE, rounded to the nearest unit. |D| is the deviation, which
+// is from 0 to n F.
 fn rounded(n: u32, s: vec2<u32>) -> u32 {
     let whole = divided(deviation(n, s), n, FRACTION_BITS + 1u);
-    // The rest is less than n; its quotient is (2 DISTANCE_SCALE rest + n) / (2 n).
+    // The remainder is less than n. Its part of the result is, rounded down,
+    // (2 DISTANCE_SCALE remainder + n) / (2 n).
     var twice = shifted(whole.y, DISTANCE_SCALE_BITS + 1u);
     twice.x += n;
     twice.y += u32(twice.x < n);
@@ -72,7 +74,8 @@ fn rounded(n: u32, s: vec2<u32>) -> u32 {
     return (whole.x << DISTANCE_SCALE_BITS) + share;
 }
 
-// The integer nearest to the square root, independent of the error of the device's square root.
+// The integer nearest to the square root. The result does not depend on the error of the device's
+// square root.
 fn nearest_root(square: u32) -> u32 {
     var root = min(u32(sqrt(f32(square))), 65535u);
     while root * root > square {

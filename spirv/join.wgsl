@@ -5,14 +5,14 @@
 struct JoinPush {
     // The sample at which drops begin to fade in.
     begin: u32,
-    // The distance beyond `begin` from which drops completely replace the surface, in units.
+    // The distance beyond `begin` from which drops completely replace the surface.
     range: u32,
     slope: u32,
     // The radius of a single particle's drop.
     radius: i32,
     // The standard deviation of a drop.
     width: i32,
-    // The distance by which a sheet of full certainty stands out earlier than drops.
+    // The difference between the distances at which drops and sheets of full certainty fade in.
     earlier: u32,
 }
 

@@ -1,4 +1,5 @@
-// Section 6.2: the DIF where smoothing reduced it to the isovalue or below, otherwise 0.
+// Computes the DIF where smoothing reduced it to the isovalue or below, and 0 elsewhere (section
+// 6.2 of the paper).
 
 struct LostPush {
     // Words of the field.

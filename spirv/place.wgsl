@@ -31,8 +31,8 @@ var<immediate> push: PlacePush;
 @group(0) @binding(3) var<storage, read_write> packed: array<vec2<u32>>;
 @group(0) @binding(4) var<storage, read_write> census: array<Census>;
 
-// The number of particles with each fate. The entry for binned particles is used for `invalid`
-// instead.
+// The number of particles with each fate. The entry for binned particles has another use: it is the
+// work group's maximum for `invalid`.
 var<workgroup> tally: array<atomic<u32>, 4>;
 
 // Packs a particle: for each axis, starting with x, the offset in the cell and then the cell in the

@@ -1,7 +1,7 @@
-// Computes the cell of a particle and its offset in the cell, from (x - origin) / cell in the
-// host's f64 arithmetic. Uses `grid`, `positions` and `push` of the shader.
+// Computes the cell of a particle and its offset in the cell from (x - origin) / cell, with the
+// same f64 arithmetic as the host. Uses `grid`, `positions` and `push` of the shader.
 
-// The fate of a particle.
+// The fate of a particle: it is in a bin, or it has no bin for one of three reasons.
 const BINNED: u32 = 0u;
 const NOT_FINITE: u32 = 1u;
 const TOO_FAR: u32 = 2u;

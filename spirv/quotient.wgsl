@@ -1,4 +1,4 @@
-// Divides clouds by the smoothed clouds.
+// Divides one field by another, such as clouds by the smoothed clouds.
 
 struct QuotientPush {
     // Words of the field.
@@ -8,8 +8,9 @@ struct QuotientPush {
 }
 
 var<immediate> push: QuotientPush;
+// The divisor.
 @group(0) @binding(0) var<storage, read> around: array<u32>;
-// Clouds; replaced by the quotient.
+// The dividend; replaced by the quotient.
 @group(0) @binding(1) var<storage, read_write> field: array<u32>;
 
 @compute @workgroup_size(256)

@@ -19,8 +19,8 @@ var<immediate> push: RefinePush;
 @group(0) @binding(3) var<storage, read> wide: array<u32>;
 @group(0) @binding(4) var<storage, read_write> field: array<u32>;
 
-// Maximum number of planes of wide cells that a thread reads. It computes RUN pairs of cells along
-// z, and each pair needs the planes of wide cells below, at and above the pair.
+// Maximum number of planes of wide cells that a thread reads. The thread computes RUN pairs of
+// cells along z, and each pair needs the planes of wide cells below, at and above the pair.
 const PLANES: u32 = RUN + 2u;
 
 fn mean(weights: vec3<u32>, taps: vec3<u32>) -> u32 {
@@ -39,8 +39,8 @@ fn weights_of(cell: i32) -> vec3<u32> {
     return vec3(below, 2u * edge * edge - below - above, above);
 }
 
-// The index of a wide cell along an axis of a block. Only cells whose results are not used lie
-// beyond the block; they are replaced by the block's outermost cell.
+// The index of a wide cell along an axis of a block. A cell beyond the block is replaced by the
+// block's outermost cell. Such cells affect only results that are not used.
 fn wide_place(block: Block, axis: u32, cell: i32) -> u32 {
     let source = source_of(cell, push.mirror_lo[axis], push.mirror_hi[axis]);
     return u32(clamp(source - block.lo[axis], 0, i32(block.size[axis]) - 1));

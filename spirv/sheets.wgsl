@@ -139,7 +139,7 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let rounded = max(directions - 2 * ONE, 0);
     let rim = max(min(impure * BY_RIM, ONE), narrow);
 
-    // det(I - B).
+    // The determinant of I - B.
     let d = vec3(ONE) - bends;
     let product_of_variances = (d.x * minor(vec2(d.y, twists.z), vec2(d.z, twists.z))
         - twists.x * minor(vec2(twists.x, -twists.z), vec2(d.z, twists.y))

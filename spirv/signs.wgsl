@@ -27,7 +27,7 @@ fn signs(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let corner = block.tiles_lo + vec3<i32>(tile * TILE);
     let highest = min(block.tiles_lo + vec3<i32>(block.tiles_size), push.walls_hi);
-    // The cells of a row that are known.
+    // The cells of a row whose signs are known.
     let along = vec4(0, 1, 2, 3) + corner.x;
     let known = (along >= vec4(push.walls_lo.x)) & (along <= vec4(highest.x));
     var mask = vec2(0u);

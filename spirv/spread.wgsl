@@ -1,5 +1,5 @@
 //! with block mirror axis
-// One axis of a dilation: the greatest of the taps within reach.
+// One axis of a dilation: the greatest of the samples within reach.
 
 fn weight_of(k: i32) -> u32 {
     return u32(k <= i32(push.reach));

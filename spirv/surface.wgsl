@@ -9,8 +9,8 @@ struct Block {
     first_vertex: u32,
     first_triangle: u32,
     spare: u32,
-    // For each corner number, the number of the neighbouring block one block up along the corner's
-    // axes; NO_BLOCK if there is none.
+    // For each corner of a dual cell, the number of the block that is one block up along the axes
+    // on whose upper side the corner lies; NO_BLOCK if there is none.
     above: array<u32, 8>,
 }
 

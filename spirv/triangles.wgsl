@@ -1,6 +1,7 @@
 //! with tile surface
 // Writes the triangles of every dual cell: one work group per tile, one thread per cell. The number
-// of a vertex is the first number of its tile, plus its rank among the tile's crossed edges.
+// of a vertex is the number of its tile's first vertex, plus its rank among the tile's crossed
+// edges.
 
 struct TrianglesPush {
     // The number of the first tile.

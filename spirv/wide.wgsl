@@ -1,4 +1,4 @@
-// 64-bit integers: (low word, high word).
+// Arithmetic with unsigned 64-bit integers, as (low word, high word).
 
 fn plus(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
     let low = a.x + b.x;

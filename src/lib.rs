@@ -13,7 +13,7 @@
 //! | set every option of the program | [`Settings`] |
 //! | cancel any of these | [`Cancel`] |
 //!
-//! Functions that fail return an [`Error`]; its [`Cause`] says what is at fault, such as the
+//! Functions that can fail return an [`Error`]. Its [`Cause`] says what is at fault, such as the
 //! request or the input.
 //!
 //! # A frame from memory
@@ -129,12 +129,12 @@
 //! block surfaces --stitch--> mesh [--simplify-->] --write--> file           surface::stitch, io
 //! ```
 //!
-//! From particles to the field, almost all steps use integer arithmetic. The other steps use
-//! floating-point numbers, and perform their operations in a fixed order. The result therefore
-//! depends only on the input, and not on the order of the particles, on the number of threads, or
-//! on how the field is stored. Every mesh is a closed, oriented 2-manifold. Vertices of
-//! neighbouring blocks become one vertex if they lie on the same grid edge, never because they have
-//! the same position.
+//! From particles to the field, almost all steps use integer arithmetic. The other steps, such as
+//! those for solids and for particles of several sizes, use floating-point numbers, and perform
+//! their operations in a fixed order. The result therefore depends only on the input, and not on
+//! the order of the particles, on the number of threads, or on how the field is stored. Every mesh
+//! is a closed, oriented 2-manifold. Vertices of neighbouring blocks become one vertex if they lie
+//! on the same grid edge, never because they have the same position.
 //!
 //! [`method`] gives the formulas with their sources, [`guide`] is the guide for users, and
 //! [`guide::glossary`] explains the terms. To change meniscus, see [`guide::contributing`] and
@@ -147,7 +147,7 @@
 //!
 //! - Without `cli`, there is no program `meniscus` and no module `program`, and clap and the other
 //!   dependencies of the command line are not built. `cli` turns on `pictures`.
-//! - Without `pictures`, there is no module [`picture`], and nothing draws pictures.
+//! - Without `pictures`, there is no module [`picture`], and meniscus cannot draw pictures.
 //! - Without `hdf5`, HDF5 inputs give an error: VTKHDF, SWIFT, GADGET, openPMD, PySPH, H5Part, H5MD
 //!   and others. `.vtkhdf` meshes can be written, but not read.
 
@@ -343,7 +343,7 @@ pub mod internals {
     pub mod particles {
         pub use crate::particles::*;
     }
-    /// The facade: particles to a surface in one call, and the policy that chooses defaults.
+    /// The facade: from particles to a surface in one call, and the policy that chooses defaults.
     pub mod reconstruction {
         pub use crate::reconstruction::*;
     }

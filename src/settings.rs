@@ -67,8 +67,8 @@ impl Setting {
     /// The short help: the first paragraph of the setting's documentation, on one line.
     #[must_use]
     pub fn help(self) -> String {
-        let place = Settings::ALL.iter().position(|known| *known == self);
-        let lines = place.map_or(&[][..], |place| Settings::DOCS[place]);
+        let index = Settings::ALL.iter().position(|known| *known == self);
+        let lines = index.map_or(&[][..], |index| Settings::DOCS[index]);
         let first = lines.iter().map(|line| line.trim()).take_while(|line| !line.is_empty());
         first.collect::<Vec<_>>().join(" ")
     }
@@ -89,7 +89,7 @@ macro_rules! settings {
         pub struct Settings {
             $(
                 $(#[doc = $doc])*
-                #[serde(skip_serializing_if = "OptionalSetting::is_not_given")]
+                #[serde(skip_serializing_if = "OptionalSetting::is_unset")]
                 #[cfg_attr(feature = "cli", arg(long, $($arg)*))]
                 pub $name: $type,
             )*
@@ -126,15 +126,15 @@ macro_rules! settings {
             }
 
             /// The first setting that has a value, differs from the same setting of `other`, and
-            /// satisfies `meant`.
-            pub(crate) fn given_otherwise(
+            /// satisfies `filter`.
+            pub(crate) fn first_difference(
                 &self,
                 other: &Self,
-                mut meant: impl FnMut(Setting) -> bool,
+                mut filter: impl FnMut(Setting) -> bool,
             ) -> Option<Setting> {
                 $(
                     let setting = const { Setting::of_field(stringify!($name)) };
-                    if !self.$name.is_not_given() && self.$name != other.$name && meant(setting) {
+                    if !self.$name.is_unset() && self.$name != other.$name && filter(setting) {
                         return Some(setting);
                     }
                 )*
@@ -390,7 +390,7 @@ pub(crate) fn differing(version: &str, kept: &StoredSettings, wanted: &StoredSet
 }
 
 /// Settings that need the particles. They cannot be changed for a frame that is already sampled.
-const OF_PARTICLES: [&str; 14] = [
+const SAMPLING_SETTINGS: [&str; 14] = [
     "format",
     "spacing",
     "radius",
@@ -411,11 +411,11 @@ impl Setting {
     /// Whether the setting affects how particles are sampled, not only the surface.
     #[must_use]
     pub fn needs_particles(self) -> bool {
-        OF_PARTICLES.contains(&self.0)
+        SAMPLING_SETTINGS.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames. Packed frames do not support kernel methods, and
-    /// their sizes are already sampled.
+    /// Whether the setting affects packed frames: all settings that affect the sampling, except
+    /// `method` and `size`, which are not supported when packing.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && !["method", "size"].contains(&self.0)
@@ -439,16 +439,16 @@ impl Settings {
         }
     }
 
-    /// Whether the request names an attribute for the sizes of the particles.
+    /// Whether the settings name an attribute for the sizes of the particles.
     #[must_use]
     pub fn asks_for_sizes(&self) -> bool {
         matches!(self.size_choice(), SizeChoice::Named(_))
     }
 
-    /// The settings in a plain form: a spacing instead of a radius, all conditions joined into one,
-    /// `none` instead of an empty list of attributes, and no value for an automatic isovalue or for
-    /// the method `dif`, which are the defaults.
-    pub(crate) fn plain(&self) -> Self {
+    /// The settings in a normalized form: a spacing instead of a radius, all conditions joined into
+    /// one, `none` instead of an empty list of attributes, and no value for an automatic isovalue or
+    /// for the method `dif`, which are the defaults.
+    pub(crate) fn normalized(&self) -> Self {
         let iso = self.isovalue().map(Iso::Value);
         let none = || vec!["none".to_owned()];
         Self {
@@ -480,7 +480,7 @@ impl Settings {
         }
     }
 
-    /// The kernel method, if the request uses one.
+    /// The kernel method, if `method` names one.
     #[must_use]
     pub fn kernels(&self) -> Option<KernelMethod> {
         match self.method {
@@ -499,8 +499,8 @@ impl Settings {
         Some(if names == ["none"] { &[] } else { names })
     }
 
-    /// The settings as state files and plans store them. Different settings that make the same mesh
-    /// are stored in the same form.
+    /// The settings as state files and plans store them. Some settings that make the same mesh,
+    /// such as a radius and the equivalent spacing, are stored in the same form.
     #[must_use]
     pub fn kept(&self) -> StoredSettings {
         // The isovalue is rounded to the nearest step of the field.
@@ -509,7 +509,7 @@ impl Settings {
             iso: iso.map(|iso| Iso::Value(iso.value())),
             indicator: self.indicator.filter(|kind| *kind != IndicatorKind::default()),
             periodic_mesh: self.periodic_mesh.filter(|ends| *ends != PeriodicMesh::default()),
-            ..self.plain()
+            ..self.normalized()
         };
         match serde_json::to_value(kept) {
             Ok(Value::Object(map)) => map,
@@ -575,27 +575,27 @@ mod tests {
     }
 
     #[test]
-    fn settings_that_make_the_same_mesh_are_stored_alike() {
-        let nothing = Settings::default().kept();
-        let said = Settings {
+    fn equivalent_settings_are_stored_in_the_same_form() {
+        let defaults = Settings::default().kept();
+        let explicit = Settings {
             iso: Some(Iso::Auto),
             indicator: Some(IndicatorKind::Cloud),
             method: Some(MethodName::Dif),
             periodic_mesh: Some(PeriodicMesh::Cut),
             ..Settings::default()
         };
-        assert_eq!(said.kept(), nothing);
+        assert_eq!(explicit.kept(), defaults);
         let [by_radius, by_spacing] = [(None, Some(0.25)), (Some(0.5), None)]
             .map(|(spacing, radius)| Settings { spacing, radius, ..Settings::default() }.kept());
         assert_eq!(by_radius, by_spacing);
-        let none = |names: &[&str]| Settings {
+        let with_attributes = |names: &[&str]| Settings {
             attributes: Some(names.iter().map(|name| (*name).to_owned()).collect()),
             ..Settings::default()
         };
-        assert_eq!(none(&[]).kept(), none(&["none"]).kept());
+        assert_eq!(with_attributes(&[]).kept(), with_attributes(&["none"]).kept());
         let version = env!("CARGO_PKG_VERSION");
-        assert_eq!(differing(version, &by_radius, &nothing), "spacing");
-        assert_eq!(differing("0.1", &by_radius, &nothing), "the version of meniscus");
+        assert_eq!(differing(version, &by_radius, &defaults), "spacing");
+        assert_eq!(differing("0.1", &by_radius, &defaults), "the version of meniscus");
     }
 
     #[test]
@@ -616,18 +616,19 @@ mod tests {
 
     #[test]
     fn lists_of_setting_names_contain_only_settings() {
-        for name in OF_PARTICLES {
+        for name in SAMPLING_SETTINGS {
             assert!(Settings::ALL.contains(&Setting::named(name)), "{name}");
         }
     }
 
     #[test]
     fn the_first_given_setting_that_differs_is_found() {
-        let (all, nothing) = (all(), Settings::default());
-        assert_eq!(all.given_otherwise(&nothing, |_| true), Some(Setting("spacing")));
-        let of_surface = |setting: Setting| !setting.needs_particles();
-        assert_eq!(all.given_otherwise(&nothing, of_surface), Some(Setting("solid")));
-        assert_eq!(all.given_otherwise(&all, |_| true), None);
-        assert_eq!(nothing.given_otherwise(&all, |_| true), None);
+        let (all, defaults) = (all(), Settings::default());
+        assert_eq!(all.first_difference(&defaults, |_| true), Some(Setting("spacing")));
+        let affects_only_surface = |setting: Setting| !setting.needs_particles();
+        let differing = all.first_difference(&defaults, affects_only_surface);
+        assert_eq!(differing, Some(Setting("solid")));
+        assert_eq!(all.first_difference(&all, |_| true), None);
+        assert_eq!(defaults.first_difference(&all, |_| true), None);
     }
 }

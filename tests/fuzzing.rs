@@ -1,5 +1,5 @@
 //! Runs every target of `tests/fuzz` on stable Rust for a few seconds, always with the same
-//! mutations of its seeds. libFuzzer runs them for hours (`tools/fuzz`).
+//! mutations of its seeds. libFuzzer runs the targets for hours (`tools/fuzz`).
 //!
 //! `MENISCUS_FUZZ_RUNS=100` multiplies the number of runs by 100, and `MENISCUS_FUZZ` selects the
 //! targets whose names contain its value.
@@ -25,9 +25,9 @@ use targets::Target;
 
 /// A seed is small if it has fewer bytes than this. In fast targets, the test damages every byte of
 /// each small seed, one byte at a time.
-const SHORT: usize = 2000;
+const SMALL_SEED_BYTES: usize = 2000;
 /// A target is fast if it has at least this number of runs.
-const QUICK: u32 = 2000;
+const FAST_TARGET_RUNS: u32 = 2000;
 
 /// Runs a target with its seeds and with mutations of them. Returns the number of runs and the
 /// time.
@@ -46,8 +46,10 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
         run(&format_args!("seed {number}"), seed);
     }
     // In fast targets, damage every byte of the small seeds.
-    for (number, seed) in
-        seeds.iter().enumerate().filter(|(_, seed)| target.runs >= QUICK && seed.len() < SHORT)
+    for (number, seed) in seeds
+        .iter()
+        .enumerate()
+        .filter(|(_, seed)| target.runs >= FAST_TARGET_RUNS && seed.len() < SMALL_SEED_BYTES)
     {
         for (at, mask) in
             (0..seed.len()).flat_map(|at| [0x01, 0x10, 0x80, 0xff].map(|mask| (at, mask)))
@@ -65,21 +67,21 @@ fn fuzz(target: &Target, times: u32) -> (u32, Duration) {
 }
 
 #[test]
-fn no_mutation_of_any_input_brings_a_target_down() {
-    let set = |name: &str| std::env::var(name).ok();
+fn no_mutation_makes_a_target_panic() {
+    let variable = |name: &str| std::env::var(name).ok();
     let times =
-        set("MENISCUS_FUZZ_RUNS").map_or(1, |times| times.parse().expect("a number of times"));
-    let name = set("MENISCUS_FUZZ").unwrap_or_default();
+        variable("MENISCUS_FUZZ_RUNS").map_or(1, |times| times.parse().expect("a number of times"));
+    let name = variable("MENISCUS_FUZZ").unwrap_or_default();
     let mut chosen: Vec<Target> =
         targets::all().into_iter().filter(|t| t.name.contains(&name)).collect();
     assert!(!chosen.is_empty(), "no target is called {name}");
     chosen.reverse();
-    let left = Mutex::new(chosen);
+    let remaining = Mutex::new(chosen);
     let worker = || {
-        // Make the library run its parallel work on this thread. Otherwise, targets on different
-        // threads would wait for each other.
+        // Give each worker its own pool with one thread. Otherwise, targets of different workers
+        // would share the global pool and wait for each other.
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-        let next = || left.lock().unwrap().pop();
+        let next = || remaining.lock().unwrap().pop();
         while let Some(target) = next() {
             let (runs, took) = pool.install(|| fuzz(&target, times));
             println!("{:12} {runs:9} runs {:8.2} s", target.name, took.as_secs_f64());

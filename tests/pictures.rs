@@ -127,7 +127,7 @@ fn the_up_axis_points_up_in_the_picture() {
     let [left, right, top, bottom] = draw(UpAxis::Y);
     assert!(bottom - top > 3 * (right - left), "with y up, the tower must stand");
     let [left, right, top, bottom] = draw(UpAxis::Z);
-    assert!(right - left > bottom - top, "with z up, the tower must lie");
+    assert!(right - left > bottom - top, "with z up, the tower must lie on its side");
 }
 
 #[test]
@@ -611,7 +611,7 @@ fn png_size(path: &Path) -> [u32; 2] {
 }
 
 #[test]
-fn a_simulation_becomes_pictures_a_sheet_or_an_animation_of_one_camera() {
+fn a_simulation_is_rendered_as_pictures_a_sheet_or_an_animation() {
     let folder = frames();
     let at = |name: &str| folder.path().join(name);
     let run = |arguments: &[&str]| {

@@ -14,9 +14,9 @@ fn main() -> Result<(), Box<dyn Error>> {
         return Ok(());
     }
     let compiler = cc::Build::new().cpp(true).get_compiler();
-    let asked = compiler.to_command().arg("-print-file-name=libstdc++.a").output()?;
+    let output = compiler.to_command().arg("-print-file-name=libstdc++.a").output()?;
     // If the compiler has no such archive, it prints only the name, without a folder.
-    let archive = String::from_utf8(asked.stdout)?;
+    let archive = String::from_utf8(output.stdout)?;
     let archive = Path::new(archive.trim());
     if archive.is_absolute() {
         // The linker searches this folder before the folder with the shared library, and uses the

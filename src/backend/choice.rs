@@ -68,8 +68,8 @@ const SMALL: u64 = 12_000_000;
 
 /// The smallest memory budget with which [`fastest`] looks for a device.
 ///
-/// The driver and the batches of a device take up to [`MOST_HOST_BYTES`] of this budget. They leave
-/// at least three fifths of it for particles, samples and the surface.
+/// The driver and the batches of a device take up to [`MOST_HOST_BYTES`] of this budget. At least
+/// three fifths of the budget remain for particles, samples and the surface.
 const DEVICE_BUDGET: MemoryBudget = MemoryBudget(1 << 30);
 const _: () = assert!(MOST_HOST_BYTES <= DEVICE_BUDGET.0 / 5 * 2);
 
@@ -139,7 +139,7 @@ pub fn fastest(
 ) -> (Backend, Option<CpuReason>) {
     match fast_device(budget, input_bytes, cache) {
         Ok(backend) => (backend, None),
-        Err(why) => (Backend::cpu(), Some(why)),
+        Err(reason) => (Backend::cpu(), Some(reason)),
     }
 }
 
@@ -217,13 +217,13 @@ mod tests {
     }
 
     #[test]
-    fn a_device_is_looked_for_only_with_the_budget_that_it_needs() {
-        // A small input ends the search before any driver is loaded.
-        let is_too_little = |budget: u64| {
+    fn no_device_is_opened_if_the_memory_budget_is_too_small() {
+        // An input of 0 bytes is too small for a device, so no driver is loaded.
+        let budget_is_too_small = |budget: u64| {
             let chosen = fast_device(MemoryBudget(budget), || Some(0), None);
             matches!(chosen, Err(CpuReason::LittleMemory(least)) if least == DEVICE_BUDGET.0)
         };
-        assert!(is_too_little(DEVICE_BUDGET.0 - 1));
-        assert!(!is_too_little(DEVICE_BUDGET.0));
+        assert!(budget_is_too_small(DEVICE_BUDGET.0 - 1));
+        assert!(!budget_is_too_small(DEVICE_BUDGET.0));
     }
 }

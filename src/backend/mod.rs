@@ -45,7 +45,7 @@ pub trait Executor: Debug + Send + Sync {
     /// Additional bytes of the host's memory that a frame needs under `budget`.
     fn host_bytes(&self, budget: MemoryBudget) -> u64;
 
-    /// Starts a frame. Dropping the frame frees its device memory, or keeps the memory for the next
+    /// Starts a frame. When the frame is dropped, its device memory is freed or kept for the next
     /// frame.
     fn start(&self, budget: MemoryBudget) -> Box<dyn Stages>;
 }
@@ -96,10 +96,10 @@ pub trait Stages: Debug + Send + Sync {
 pub type Take<'a> = dyn FnMut(Vec<Option<BlockMesh>>) -> io::Result<()> + 'a;
 
 /// Number of bins per CPU thread for which pages are computed between two checks for a cancel.
-const BINS_A_THREAD: usize = 64;
+const BINS_PER_THREAD: usize = 64;
 
 /// Maximum number of regions whose surfaces are passed to [`Take`] in one call.
-pub const REGIONS_TOGETHER: usize = 1024;
+pub const REGIONS_PER_CALL: usize = 1024;
 
 /// The work done on a frame: the numbers of finished bins and regions.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -135,7 +135,8 @@ impl Surfaces<'_> {
         let walls = self.mesh_walls();
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
-        // If the mesh ends on periodic faces, it has a surface there even deep in the fluid.
+        // If the mesh ends at periodic faces, it has a surface at these faces, even deep in the
+        // fluid.
         let faces = walls.filter(|_| self.sampled.facts.periodic.is_some());
         let not_inside = |cells: CellBox| match faces {
             Some(faces) if !faces.covers(&dual_cells(cells)) => cells,
@@ -164,10 +165,11 @@ impl Surfaces<'_> {
         self.solid.filter(is_near).is_some()
     }
 
-    /// Computes all fields from which samples are gathered.
+    /// Computes the wide cells from which samples are gathered. Without this call, several threads
+    /// could compute the same wide cells at the same time.
     fn prepare(&self) {
         if let Filters::Distances(distances) = &self.recipe.filters {
-            let _made = self.sampled.wide(distances.level.max(distances.drops_level));
+            let _wide = self.sampled.wide(distances.level.max(distances.drops_level));
         }
     }
 

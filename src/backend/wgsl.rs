@@ -1,4 +1,5 @@
-//! Rust constants that the shaders use: `tools/shaders` prepends them to the sources.
+//! Rust constants that the shaders use. The example `shaders` (`tools/shaders`) prepends them to
+//! the WGSL sources.
 
 use crate::brick::vulkan::{ELSEWHERE, NO_BIN, PAGE_WORDS, PROBES, RUN, SETTLED};
 use crate::brick::{AXIS_BITS, COORD_BITS, HALVED_BITS, RECORD_BITS};

@@ -14,18 +14,18 @@ pub fn symmetric_eigen(matrix: DMat3) -> (DVec3, DMat3) {
     let mut vectors = DVec3::AXES;
     for _ in 0..SWEEPS {
         for [p, q] in [[0, 1], [0, 2], [1, 2]] {
-            let beside = columns[p][q];
-            if beside == 0.0 {
+            let off_diagonal = columns[p][q];
+            if off_diagonal == 0.0 {
                 continue;
             }
-            // The rotation in the plane of p and q that makes the element at p and q zero.
-            let ratio = (columns[q][q] - columns[p][p]) / (2.0 * beside);
+            // Computes the rotation in the plane of axes p and q that makes this element zero.
+            let ratio = (columns[q][q] - columns[p][p]) / (2.0 * off_diagonal);
             let tangent = 1_f64.copysign(ratio) / (ratio.abs() + (ratio * ratio + 1.0).sqrt());
             let cosine = 1.0 / (tangent * tangent + 1.0).sqrt();
             let sine = tangent * cosine;
-            for of in [&mut columns, &mut vectors] {
-                let [a, b] = [of[p], of[q]];
-                (of[p], of[q]) = (a * cosine - b * sine, a * sine + b * cosine);
+            for matrix in [&mut columns, &mut vectors] {
+                let [a, b] = [matrix[p], matrix[q]];
+                (matrix[p], matrix[q]) = (a * cosine - b * sine, a * sine + b * cosine);
             }
             for column in &mut columns {
                 let [a, b] = [column[p], column[q]];
@@ -51,11 +51,11 @@ mod tests {
             f64::from(state) / f64::from(u32::MAX) - 0.5
         };
         for case in 0..200 {
-            let any = DMat3::from_cols_array(&std::array::from_fn(|_| random()));
+            let random_matrix = DMat3::from_cols_array(&std::array::from_fn(|_| random()));
             // Some of the matrices have rank 1 or 2, or two equal eigenvalues.
             let scale =
                 DMat3::from_diagonal([DVec3::ONE, DVec3::X, DVec3::new(1.0, 1.0, 0.0)][case % 3]);
-            let matrix = any * scale * any.transpose();
+            let matrix = random_matrix * scale * random_matrix.transpose();
             let matrix = if case % 5 == 0 {
                 DMat3::from_diagonal(DVec3::new(2.0, 2.0, 1e-9))
             } else {

@@ -17,10 +17,11 @@ use crate::system::scratch::Lists;
 use super::neighbours::{NeighbourGrid, places};
 use super::scheme::Scheme;
 
-/// Maximum number of particles whose kernels are computed together, unless a single bin has more.
+/// Maximum number of particles in a batch whose kernels are computed in parallel, unless a single
+/// bin has more.
 const BATCH: usize = 1 << 17;
-/// Number of cells beyond a block that the normals of its mesh need: one for the corners of the
-/// dual cells, and one more on all sides.
+/// Number of cells beyond a block that its mesh and the mesh's normals need: one for the upper
+/// corners of the dual cells, and one more on all sides for normals.
 const MARGIN: i32 = 2;
 
 /// The field that a kernel method makes for a frame, ready to be meshed block by block.
@@ -52,7 +53,7 @@ pub(super) struct Kernels<S: Scheme> {
     by_block: HashMap<IVec3, Vec<u32>>,
 }
 
-/// The cells that the kernels of a bin reach.
+/// The cells that the kernels of a bin's particles reach.
 #[derive(Debug)]
 struct ReachedCells {
     /// The bin's lowest cell.
@@ -77,9 +78,9 @@ impl<S: Scheme> Kernels<S> {
                 .into_par_iter()
                 .map(|bin| bin_kernels(bins, bin, &scheme))
                 .collect::<io::Result<_>>()?;
-            for (list, what) in done {
+            for (list, cells) in done {
                 kernels.push(list)?;
-                reached.push(what);
+                reached.push(cells);
             }
             if kernels.bytes() > bytes {
                 kernels.move_to_file(folder)?;
@@ -116,7 +117,7 @@ impl<S: Scheme> Kernels<S> {
         let [place, reach] = self.scheme.extent(kernel);
         let CellBox { lo, hi } = centres(place, reach, corner).intersection(&sums.cells());
         // The centre of a cell, relative to the kernel's position.
-        let seen = |cell: IVec3| (cell - corner).as_dvec3() + 0.5 - place;
+        let offset = |cell: IVec3| (cell - corner).as_dvec3() + 0.5 - place;
         for z in lo.z..hi.z {
             for y in lo.y..hi.y {
                 if lo.x >= hi.x {
@@ -124,7 +125,7 @@ impl<S: Scheme> Kernels<S> {
                 }
                 let first = IVec3::new(lo.x, y, z);
                 let index = sums.index(first);
-                let mut point = seen(first);
+                let mut point = offset(first);
                 for sum in &mut sums.samples_mut()[index..index + (hi.x - lo.x) as usize] {
                     self.scheme.add(kernel, point, sum);
                     point.x += 1.0;

@@ -95,7 +95,8 @@ impl KernelMethod {
         bytes as u64
     }
 
-    /// Bytes per cell while a field is computed: the bytes of the largest sum, and of the field.
+    /// Bytes per cell while a field is computed: the bytes of the largest sum plus the bytes of the
+    /// field.
     pub const CELL_BYTES: u64 =
         (size_of::<<ZhuBridson as Scheme>::Sum>() + size_of::<f64>()) as u64;
 }

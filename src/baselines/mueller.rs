@@ -10,7 +10,7 @@ use glam::DVec3;
 use super::neighbours::NeighbourGrid;
 use super::scheme::{Scheme, Spacing, weight};
 
-/// The field is phi - iso.
+/// The method of Mueller et al. Its field is phi - iso.
 #[derive(Debug)]
 pub struct Mueller {
     support: f64,

@@ -25,7 +25,8 @@ pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item =
     contents.particles().map(move |(local, offset)| {
         let local = local as i32;
         let cell = corner + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
-        // An offset represents the middle of its step.
+        // Stored offsets are rounded down to steps. The particle is placed in the middle of its
+        // step.
         let offset = DVec3::from(offset.map(f64::from)) + 0.5;
         (cell, cell.as_dvec3() + offset / f64::from(FRACTIONS))
     })
@@ -48,8 +49,8 @@ impl NeighbourGrid {
                 places(&contents, coord * BIN - origin).filter(|(cell, _)| local.contains(*cell));
             found.extend(inside.map(|(cell, place)| (near.index(cell), place)));
         }
-        // A counting sort: the counts become the start of each cell, and a start advances with each
-        // particle that is placed.
+        // A counting sort. The counts become the start of each cell, and a cell's start advances
+        // with each particle that is stored.
         found.iter().for_each(|&(cell, _)| near.starts[cell] += 1);
         let mut total = 0;
         for start in &mut near.starts {
@@ -71,8 +72,8 @@ impl NeighbourGrid {
         local.x + size.x * (local.y + size.y * local.z)
     }
 
-    /// Calls `visit` for every particle within `radius` of `place`, with its offset and its squared
-    /// distance from `place`.
+    /// Calls `visit` for every particle within `radius` of `place`, with the particle's offset and
+    /// squared distance from `place`.
     #[inline]
     pub fn within(&self, place: DVec3, radius: f64, mut visit: impl FnMut(DVec3, f64)) {
         let squared = radius * radius;
@@ -81,17 +82,19 @@ impl NeighbourGrid {
             hi: (place + radius).floor().as_ivec3() + 1,
         }
         .intersection(&self.cells);
-        // The distance of a place from a layer of cells, along one axis.
-        let apart = |place: f64, cell: i32| {
+        // The distance of a position from a layer of cells, along one axis.
+        let distance_to_layer = |place: f64, cell: i32| {
             (f64::from(cell) - place).max(place - f64::from(cell + 1)).max(0.0)
         };
         for z in lo.z..hi.z {
             for y in lo.y..hi.y {
-                let left = squared - apart(place.z, z).powi(2) - apart(place.y, y).powi(2);
-                if left <= 0.0 {
+                let along_x = squared
+                    - distance_to_layer(place.z, z).powi(2)
+                    - distance_to_layer(place.y, y).powi(2);
+                if along_x <= 0.0 {
                     continue;
                 }
-                let half = left.sqrt();
+                let half = along_x.sqrt();
                 let first = ((place.x - half).floor() as i32).max(lo.x);
                 let last = ((place.x + half).floor() as i32).min(hi.x - 1);
                 if first > last {
@@ -100,10 +103,10 @@ impl NeighbourGrid {
                 let row = self.index(IVec3::new(first, y, z));
                 let run = self.starts[row]..self.starts[row + (last - first) as usize + 1];
                 for &other in &self.places[run.start as usize..run.end as usize] {
-                    let seen = other - place;
-                    let distance = seen.length_squared();
-                    if distance < squared {
-                        visit(seen, distance);
+                    let offset = other - place;
+                    let squared_distance = offset.length_squared();
+                    if squared_distance < squared {
+                        visit(offset, squared_distance);
                     }
                 }
             }

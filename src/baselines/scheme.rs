@@ -48,14 +48,14 @@ impl Spacing {
     }
 }
 
-/// The weight w of eq. 3, for an argument whose square is `squared`.
+/// The weight w of eq. 3 in the paper by Mueller et al., for an argument whose square is `squared`.
 #[inline]
 pub(super) fn weight(squared: f64) -> f64 {
-    let left = (1.0 - squared).max(0.0);
-    left * left * left
+    let remainder = (1.0 - squared).max(0.0);
+    remainder * remainder * remainder
 }
 
-/// A kernel method: how it makes a field from particles.
+/// A kernel method, which computes a field from the kernels of the particles.
 pub(super) trait Scheme: Debug + Send + Sync {
     /// The kernel of a particle: its contribution to sums. Positions are relative to the lowest
     /// corner of the particle's bin.

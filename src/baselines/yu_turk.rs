@@ -38,16 +38,16 @@ const N_EPSILON: usize = 25;
 /// The neighbourhood's radius, divided by h.
 const NEIGHBOURHOOD: f64 = 2.0;
 /// The distance within which particles affect the field, divided by h: the maximum distance to a
-/// particle's neighbours, plus the reach of the particle's kernel. In a fluid, a kernel hardly ever
-/// reaches more than twice as far as at uniform density.
+/// particle's neighbours, plus the reach of the particle's kernel. The reach is taken to be 2 h,
+/// because a kernel in a fluid hardly ever reaches more than twice as far as at uniform density.
 pub const REACH: f64 = NEIGHBOURHOOD + 2.0;
 /// The eigenvalues of C, divided by R^2, if the density is uniform.
 const UNIFORM: f64 = 0.15;
 
-/// The field is phi - iso.
+/// The method of Yu and Turk. Its field is phi - iso.
 #[derive(Debug)]
 pub struct YuTurk {
-    /// h.
+    /// The length h.
     support: f64,
     iso: f64,
 }
@@ -62,13 +62,14 @@ impl YuTurk {
         let radius = self.neighbourhood();
         let mut found = 0;
         let (mut weights, mut first, mut second) = (0.0, DVec3::ZERO, DMat3::ZERO);
-        neighbours.within(place, radius, |seen, squared| {
+        neighbours.within(place, radius, |offset, squared| {
             let weight = 1.0 - (squared.sqrt() / radius).powi(3);
-            let weighted = weight * seen;
+            let weighted = weight * offset;
             found += 1;
             weights += weight;
             first += weighted;
-            second += DMat3::from_cols(weighted * seen.x, weighted * seen.y, weighted * seen.z);
+            second +=
+                DMat3::from_cols(weighted * offset.x, weighted * offset.y, weighted * offset.z);
         });
         // The particle itself is also found, so `weights` is at least 1.
         let mean = first / weights;
@@ -76,7 +77,7 @@ impl YuTurk {
         let covariance = second * weights.recip() - outer;
         let (eigenvalues, eigenvectors) = symmetric_eigen(covariance);
         let greatest = eigenvalues.max_element() / (UNIFORM * radius * radius);
-        // If all particles are at the same position, the covariance is zero and has no shape.
+        // If all particles are at the same position, the covariance is zero, and gives no widths.
         let widths = if found > N_EPSILON + 1 && greatest > f64::EPSILON {
             let scaled = eigenvalues / (UNIFORM * radius * radius);
             scaled.max(DVec3::splat(greatest / K_R))
@@ -92,9 +93,9 @@ impl YuTurk {
 #[repr(C)]
 pub struct Ellipsoid {
     centre: DVec3,
-    /// G.
+    /// The matrix G.
     shape: DMat3,
-    /// det(G) h^3 / sum_j w(x_i - x_j).
+    /// The factor det(G) h^3 / sum_j w(x_i - x_j) of the kernel.
     share: f64,
     reach: DVec3,
 }

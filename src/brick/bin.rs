@@ -44,7 +44,7 @@ pub struct CountingRoom {
 }
 
 /// Maximum bytes of places that are kept between the two readings. A higher limit would rarely
-/// help: larger frames usually touch more bins than a place can number.
+/// help: larger frames usually touch more bins than the free bits of a place can number.
 const MOST_PLACES: u64 = 64 << 20;
 
 impl CountingRoom {
@@ -494,8 +494,8 @@ impl Counter {
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         let mut placed = Vec::with_capacity(CHUNK);
-        // A thread that finds too many bins stops the other threads, because no count is needed
-        // then.
+        // A thread that finds too many bins also stops the other threads, because the whole count
+        // then fails.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             visit(positions);
             table.place_all(addresses, &mut latest, &mut placed);

@@ -39,12 +39,12 @@ impl BinTable {
     /// cube, the cube is added with counts of 0.
     #[inline(always)]
     fn rank(&mut self, bin: BinCode, latest: &mut LatestNumbers) -> u32 {
-        let number = *latest.of_cube(bin, |cube| self.found_cube(cube));
+        let number = *latest.of_cube(bin, |cube| self.find_or_add_cube(cube));
         number << CUBE.ilog2() | in_cube(bin)
     }
 
     #[cold]
-    fn found_cube(&mut self, cube: BinCode) -> u32 {
+    fn find_or_add_cube(&mut self, cube: BinCode) -> u32 {
         let Self { cubes, hasher, codes, counts } = self;
         let code = |&number: &u32| codes[number as usize];
         match cubes.entry(
@@ -73,7 +73,7 @@ impl BinTable {
         placed: &mut Vec<Placed>,
     ) {
         placed.clear();
-        placed.extend(addresses.iter().map(|address| match address.is_somewhere() {
+        placed.extend(addresses.iter().map(|address| match address.has_bin() {
             true => (self.rank(address.bin, latest), address.record),
             false => (NOWHERE, 0),
         }));

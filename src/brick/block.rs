@@ -7,7 +7,7 @@ use crate::grid::{CellBox, Mirror};
 
 use super::samples::SamplePlace;
 
-/// Number of samples that are processed together: few enough to stay in the first-level cache.
+/// Number of samples that are processed together. They fit into the first-level cache.
 const ROW: usize = 1 << 11;
 
 /// Number of samples that are tested together.
@@ -53,9 +53,9 @@ pub fn runs(part: CellBox, boxes: &[CellBox]) -> (usize, impl Iterator<Item = IV
     let whole = |axis: usize| {
         boxes.iter().all(|cells| [cells.lo[axis], cells.hi[axis]] == [part.lo[axis], part.hi[axis]])
     };
-    let of_rows = [(height * depth, whole(0) && whole(1)), (height, whole(0))];
-    let few = |&(rows, whole): &(i32, bool)| whole && (width * rows) as usize <= RUN;
-    let rows = of_rows.into_iter().find(few).map_or(1, |(rows, _)| rows.max(1));
+    let candidates = [(height * depth, whole(0) && whole(1)), (height, whole(0))];
+    let is_short = |&(rows, whole): &(i32, bool)| whole && (width * rows) as usize <= RUN;
+    let rows = candidates.into_iter().find(is_short).map_or(1, |(rows, _)| rows.max(1));
     let all = if width > 0 { height * depth } else { 0 };
     let first = move |row: i32| part.lo + IVec3::new(0, row % height, row / height);
     ((width * rows).max(1) as usize, (0..all).step_by(rows as usize).map(first))
@@ -258,11 +258,11 @@ impl<T: Copy + Default> Block<T> {
             let cell = corner + place.local();
             if part.contains(cell) {
                 let index = self.index(cell);
-                let there = self.samples[index];
-                if there == T::default() {
+                let existing = self.samples[index];
+                if existing == T::default() {
                     fill(cell);
                 }
-                self.samples[index] = value(there, sample);
+                self.samples[index] = value(existing, sample);
             }
         }
     }
@@ -375,10 +375,10 @@ impl<T: Copy + Default> Block<T> {
         }
         for z in lo.z..hi.z {
             for y in lo.y..hi.y {
-                let like = [source(1, y), source(2, z)];
-                if like != [y, z] {
+                let sources = [source(1, y), source(2, z)];
+                if sources != [y, z] {
                     let [from, to] =
-                        [like, [y, z]].map(|[y, z]| self.index(IVec3::new(lo.x, y, z)));
+                        [sources, [y, z]].map(|[y, z]| self.index(IVec3::new(lo.x, y, z)));
                     self.samples.copy_within(from..from + (hi.x - lo.x) as usize, to);
                 }
             }
@@ -428,8 +428,8 @@ fn put_rows<T: Copy, const N: usize>(
         else {
             unreachable!("both boxes cover the part")
         };
-        let there = *to;
-        *to = std::array::from_fn(|i| value(there[i], from[i]));
+        let existing = *to;
+        *to = std::array::from_fn(|i| value(existing[i], from[i]));
     }
 }
 

@@ -95,7 +95,7 @@ impl<'a> WithBoxes<'a> {
         self.chunks.iter().map(bins).collect()
     }
 
-    fn watch(&self, first: usize, positions: &[[f64; 3]]) {
+    fn record_extents(&self, first: usize, positions: &[[f64; 3]]) {
         let mut at = self.chunks.partition_point(|chunk| chunk.first <= first).saturating_sub(1);
         let mut rest = positions;
         while !rest.is_empty() {
@@ -146,7 +146,7 @@ impl Particles for WithBoxes<'_> {
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         self.particles.positions(first, out);
-        self.watch(first, out);
+        self.record_extents(first, out);
     }
 
     fn check(&self) -> Result<(), RereadError> {

@@ -273,7 +273,7 @@ mod tests {
     }
 
     /// Evaluates the formula for one wide cell.
-    fn plain(fine: &DifField, mirror: Option<Mirror>, cell: IVec3, factor: f64) -> u16 {
+    fn by_formula(fine: &DifField, mirror: Option<Mirror>, cell: IVec3, factor: f64) -> u16 {
         let weights = [1.0, 3.0, 3.0, 1.0];
         let around = CellBox { lo: cell * 2 - 1, hi: cell * 2 + 3 };
         let mut sum = 0.0;
@@ -299,8 +299,9 @@ mod tests {
     fn wide_cells_match_the_formula_with_and_without_walls() {
         let faces = CellBox { lo: IVec3::new(-5, -3, 1), hi: IVec3::new(14, 9, 30) };
         let odd = Mirror::new(faces);
-        // These mirrors have planes through the middles of wide cells: `last` in the last wide cell
-        // of a bin, `first` in the first wide cell.
+        // Along x, a plane of `last` passes through the middle of cell -1 of `fine`, in the last
+        // wide cell of a bin. A plane of `first` passes through the middle of cell 0, in the first
+        // wide cell of a bin.
         let last = CellBox { lo: IVec3::new(-1, -3, -1), hi: 2 * faces.hi };
         let first = CellBox { lo: -2 * faces.hi, hi: IVec3::new(1, 33, 60) };
         let [last, first] = [last, first].map(|cells| Mirror::new(cells).in_wider_cells(1));
@@ -322,7 +323,7 @@ mod tests {
             for cell in cells.cubes(1) {
                 assert_eq!(
                     block.at(cell),
-                    plain(&fine, mirror, cell, factor),
+                    by_formula(&fine, mirror, cell, factor),
                     "{cell} of {mirror:?}, {among}"
                 );
                 any += i32::from(block.at(cell) > 0);
@@ -356,11 +357,14 @@ mod tests {
             let source =
                 CountingPages { field: Arc::clone(&fine), requests: Arc::clone(&requests) };
             // No page fits into a cache of this size.
-            let beyond = DifField::paged(HALVED, fine.infos().to_vec(), Box::new(source), 1);
-            let wide = Arc::new(Arc::new(beyond).halved(None, 0.5, scratch));
-            let made = requests.swap(0, Ordering::Relaxed);
+            let paged_field = DifField::paged(HALVED, fine.infos().to_vec(), Box::new(source), 1);
+            let wide = Arc::new(Arc::new(paged_field).halved(None, 0.5, scratch));
+            let first_requests = requests.swap(0, Ordering::Relaxed);
             let wider = wide.halved(None, 0.5, scratch);
-            assert!(made > 0 && wider.gather(cells).samples() == expected.samples(), "{scratch:?}");
+            assert!(
+                first_requests > 0 && wider.gather(cells).samples() == expected.samples(),
+                "{scratch:?}"
+            );
             assert_eq!(requests.load(Ordering::Relaxed) == 0, scratch == Some(folder.path()));
         }
     }

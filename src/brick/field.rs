@@ -58,15 +58,15 @@ impl DifField {
     }
 
     /// Makes a field from pages whose samples are outside the host's memory and are fetched on
-    /// demand. `infos` must be sorted by key. If fetching fails, `otherwise` computes the samples.
+    /// demand. `infos` must be sorted by key. If fetching fails, `fallback` computes the samples.
     pub fn from_remote(
         shape: PageShape,
         infos: Vec<PageInfo>,
         pages: Box<dyn RemotePages>,
-        otherwise: Box<dyn PageSource>,
+        fallback: Box<dyn PageSource>,
     ) -> Self {
         debug_assert_eq!(infos.len(), pages.count(), "one info per page");
-        Self::new(shape, infos, PageStore::remote(pages, otherwise))
+        Self::new(shape, infos, PageStore::remote(pages, fallback))
     }
 
     fn new(shape: PageShape, infos: Vec<PageInfo>, store: PageStore) -> Self {
@@ -394,8 +394,8 @@ pub trait RemotePages: Send + Sync + Debug {
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)>;
 
     /// For each page, one bit per brick of 4^3 cells, at the brick's Morton index. The cells are
-    /// divided into parts of 2^3 cells. At each part begins a cube with `width` parts along each
-    /// axis. The bit of a brick is set if the sum of the samples is at least `least` in every cube
+    /// divided into parts of 2^3 cells. A cube with `width` parts along each axis begins at each
+    /// part. The bit of a brick is set if the sum of the samples is at least `least` in every cube
     /// that overlaps the brick.
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>>;
 }

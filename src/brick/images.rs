@@ -38,13 +38,13 @@ struct Images<'a> {
     /// of all images.
     before: Vec<u64>,
     /// Number of particles outside the box.
-    astray: usize,
+    outside: usize,
 }
 
 /// The invalid particles of all groups.
 #[derive(Default)]
 struct InvalidCounts {
-    astray: AtomicUsize,
+    outside: AtomicUsize,
     /// The number of the first group with an invalid particle, and the error for this particle.
     first_invalid: Mutex<Option<(usize, BinError)>>,
 }
@@ -64,14 +64,14 @@ impl<'a> WithImages<'a> {
     ) -> Result<Self, BinError> {
         let Some(periodic) = periodic else { return Ok(Self { particles, images: None }) };
         let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
-        let images = Images { placer, periodic, before: Vec::new(), astray: 0 };
+        let images = Images { placer, periodic, before: Vec::new(), outside: 0 };
         let mut before = Vec::new();
         let (counts, groups) = (InvalidCounts::default(), particles.len().div_ceil(GROUP));
         (0..groups)
             .into_par_iter()
             .map(|group| images.count(&particles, group, &counts))
             .collect_into_vec(&mut before);
-        let InvalidCounts { astray, first_invalid } = counts;
+        let InvalidCounts { outside, first_invalid } = counts;
         let first_invalid = first_invalid.into_inner().unwrap_or_else(PoisonError::into_inner);
         if let (InvalidParticles::Refuse, Some((_, error))) = (invalid, first_invalid) {
             return Err(error);
@@ -83,7 +83,7 @@ impl<'a> WithImages<'a> {
         before.push(all);
         Ok(Self {
             particles,
-            images: Some(Images { before, astray: astray.into_inner(), ..images }),
+            images: Some(Images { before, outside: outside.into_inner(), ..images }),
         })
     }
 
@@ -98,8 +98,8 @@ impl<'a> WithImages<'a> {
         let Some(images) = &self.images else { return census };
         Census {
             binned: census.binned - images.count_all(),
-            not_finite: census.not_finite - images.astray,
-            outside: census.outside + images.astray,
+            not_finite: census.not_finite - images.outside,
+            outside: census.outside + images.outside,
             ..census
         }
     }
@@ -111,8 +111,8 @@ type Wrapped = ([f64; 3], [i64; 3]);
 /// A particle that cannot be binned.
 enum MisplacedParticle {
     /// Outside the box along this axis.
-    Astray(char),
-    /// Beyond the grid.
+    OutsideBox(char),
+    /// Not finite, or beyond the grid.
     Unplaced(PlacementError),
 }
 
@@ -129,7 +129,7 @@ impl Images<'_> {
     /// A particle's position within the faces of the periodic box, and its steps; `None` outside
     /// the domain.
     fn placed(&self, position: [f64; 3]) -> Result<Option<Wrapped>, MisplacedParticle> {
-        let inside = self.periodic.inside(position).map_err(MisplacedParticle::Astray)?;
+        let inside = self.periodic.inside(position).map_err(MisplacedParticle::OutsideBox)?;
         let steps = self.placer.place(inside).map_err(MisplacedParticle::Unplaced)?;
         Ok(steps.map(|steps| (inside, steps)))
     }
@@ -150,15 +150,15 @@ impl Images<'_> {
         let range = group_range(particles, group);
         let mut positions = vec![[0.0; 3]; range.len()];
         particles.positions(range.start, &mut positions);
-        let (mut images, mut astray, mut first_invalid) = (0, 0, None);
+        let (mut images, mut outside, mut first_invalid) = (0, 0, None);
         for (index, &position) in range.clone().zip(&positions) {
             let invalid = match self.placed(position) {
                 Ok(placed) => {
                     images += placed.map_or(0, |placed| self.images(placed).count()) as u64;
                     continue;
                 }
-                Err(MisplacedParticle::Astray(axis)) => {
-                    astray += 1;
+                Err(MisplacedParticle::OutsideBox(axis)) => {
+                    outside += 1;
                     BinError::OutsideBox { index, position, axis }
                 }
                 Err(MisplacedParticle::Unplaced(PlacementError::NotFinite)) => {
@@ -171,7 +171,7 @@ impl Images<'_> {
             first_invalid.get_or_insert(invalid);
         }
         particles.release(range);
-        counts.astray.fetch_add(astray, Ordering::Relaxed);
+        counts.outside.fetch_add(outside, Ordering::Relaxed);
         if let Some(invalid) = first_invalid {
             let mut first = counts.first_invalid.lock().unwrap_or_else(PoisonError::into_inner);
             if first.is_none_or(|(before, _)| group < before) {
@@ -418,10 +418,10 @@ mod tests {
     fn moved_particles_never_overflow_the_requested_range_of_images() {
         let grid = Grid::new(DVec3::ZERO, 0.02).unwrap();
         let periodic = Periodic::new(&grid, [Some([0.0, 1.0]), None, None], 10).unwrap();
-        let restless = UnstableParticles(0.into());
+        let unstable = UnstableParticles(0.into());
         let invalid = InvalidParticles::Refuse;
         let control = Control::default();
-        let metered = MeteredParticles::new(&restless, &control, Stage::Counting);
+        let metered = MeteredParticles::new(&unstable, &control, Stage::Counting);
         let all = WithImages::of(metered, &grid, None, Some(&periodic), invalid).unwrap();
         for first in [0, 2990, 3000, 3100, all.len() - 5] {
             let mut positions = vec![[7.0; 3]; all.len() - first];

@@ -51,7 +51,7 @@ impl PageInfo {
         }
         let edge = shape.side.cells();
         let mut bricks = Vec::with_capacity(dense.len());
-        for local in (0..shape.side.bricks_a_bin()).map(local_from_morton) {
+        for local in (0..shape.side.bricks_per_bin()).map(local_from_morton) {
             for first in rows(local * edge, edge) {
                 let (fours, _) = dense[first..first + edge as usize].as_chunks::<4>();
                 fours.iter().for_each(|four| bricks.extend_from_slice(four));
@@ -70,7 +70,7 @@ impl PageInfo {
     ) -> Option<(Self, PageSamples)> {
         let mut full = FullCells::default();
         let (mut bricks, mut kept) = (0, 0);
-        for index in 0..shape.side.bricks_a_bin() {
+        for index in 0..shape.side.bricks_per_bin() {
             let brick = index * shape.brick_samples()..(index + 1) * shape.brick_samples();
             if full.add(local_from_morton(index), &samples[brick.clone()], shape) {
                 bricks |= 1 << index;
@@ -120,7 +120,7 @@ impl PageInfo {
         shape: PageShape,
     ) -> Option<Self> {
         let mut full = FullCells::default();
-        let set = (0..shape.side.bricks_a_bin()).filter(|index| bricks >> index & 1 != 0);
+        let set = (0..shape.side.bricks_per_bin()).filter(|index| bricks >> index & 1 != 0);
         assert_eq!(set.clone().count() * shape.brick_samples(), samples.len());
         let stored =
             || set.clone().map(local_from_morton).zip(samples.chunks_exact(shape.brick_samples()));
@@ -140,7 +140,8 @@ impl PageInfo {
     pub(super) fn write_dense(&self, samples: &[u16], dense: &mut [u16], shape: PageShape) {
         dense.fill(0);
         let edge = shape.side.cells();
-        for index in (0..shape.side.bricks_a_bin()).filter(|index| self.bricks >> index & 1 != 0) {
+        for index in (0..shape.side.bricks_per_bin()).filter(|index| self.bricks >> index & 1 != 0)
+        {
             let local = local_from_morton(index);
             let Some(samples) = self.brick(samples, local, shape) else { continue };
             if shape.ghost_layer == 0 {
@@ -158,7 +159,7 @@ impl PageInfo {
 
     /// Maximum memory, in bytes, that the page's samples take.
     pub fn most_bytes(&self, shape: PageShape) -> usize {
-        let nonzero = shape.cells_a_particle() * self.full_count as usize;
+        let nonzero = shape.cells_per_particle() * self.full_count as usize;
         let near = self.full.grown(shape.ghost_layer, shape.ghost_layer).volume();
         PageSamples::most_bytes(nonzero.min(near), self.bricks.count_ones() as usize, shape)
     }

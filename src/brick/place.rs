@@ -12,7 +12,8 @@ use super::bins::{AXIS_BITS, pack};
 use super::cubes::{BinCode, COORD_BITS, CUBE, CubeCache, bin_coord, in_cube};
 use super::slots::Record;
 
-/// Particles per chunk: few enough to stay in the first-level cache.
+/// Number of particles per chunk. The positions and addresses of a chunk fit into the first-level
+/// cache.
 pub(super) const CHUNK: usize = 512;
 /// Number of particles after which the pages of a mapped file are released; a multiple of
 /// [`CHUNK`].
@@ -40,7 +41,7 @@ impl Address {
     }
 
     /// Whether the particle has a bin.
-    pub fn is_somewhere(self) -> bool {
+    pub fn has_bin(self) -> bool {
         self.bin != Self::NOWHERE.bin
     }
 }
@@ -57,13 +58,13 @@ pub(super) struct Placer {
 /// Skips particles in bins that are not wanted.
 pub(super) struct BinSieve {
     wanted: WantedBins,
-    known: CubeCache<KnownBins>,
+    cache: CubeCache<KnownBins>,
 }
 
 /// Two bits for each bin of a cube: whether the bin has been looked up, and whether it is wanted.
 #[derive(Debug, Clone, Copy, Default)]
 struct KnownBins {
-    asked: u8,
+    looked_up: u8,
     wanted: u8,
 }
 const _: () = assert!(CUBE <= u8::BITS as usize);
@@ -71,7 +72,7 @@ const _: () = assert!(CUBE <= u8::BITS as usize);
 impl BinSieve {
     /// A sieve whose cache has a suitable size for `particles` particles.
     fn new(wanted: WantedBins, particles: usize) -> Self {
-        Self { wanted, known: CubeCache::of(particles) }
+        Self { wanted, cache: CubeCache::of(particles) }
     }
 
     /// Bytes of a sieve for `particles` particles.
@@ -80,18 +81,18 @@ impl BinSieve {
     }
 
     #[inline(always)]
-    fn holds(&mut self, bin: BinCode) -> bool {
-        let (known, bit) = (self.known.of_cube(bin, |_| KnownBins::default()), 1 << in_cube(bin));
-        if known.asked & bit == 0 {
-            known.asked |= bit;
-            known.wanted |= if self.wanted.hold(bin_coord(bin)) { bit } else { 0 };
+    fn contains(&mut self, bin: BinCode) -> bool {
+        let (known, bit) = (self.cache.of_cube(bin, |_| KnownBins::default()), 1 << in_cube(bin));
+        if known.looked_up & bit == 0 {
+            known.looked_up |= bit;
+            known.wanted |= if self.wanted.contains(bin_coord(bin)) { bit } else { 0 };
         }
         known.wanted & bit != 0
     }
 
-    fn keep(&mut self, addresses: &mut [Address]) {
+    fn filter(&mut self, addresses: &mut [Address]) {
         for address in addresses {
-            if address.is_somewhere() && !self.holds(address.bin) {
+            if address.has_bin() && !self.contains(address.bin) {
                 *address = Address::NOWHERE;
             }
         }
@@ -141,7 +142,7 @@ impl Placer {
                 }
             }
             if let Some(sieve) = &mut sieve {
-                sieve.keep(&mut addresses[..count]);
+                sieve.filter(&mut addresses[..count]);
             }
             each(first, &positions[..count], &addresses[..count])?;
             let done = first + count;
@@ -190,7 +191,7 @@ fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Addre
     /// When an integer with a magnitude below 2^51 is added to this number, the lower bits of the
     /// sum contain the integer.
     const INTEGER: f64 = 1.5 * (1_u64 << 52) as f64;
-    let mut astray = 0;
+    let mut unplaced = 0;
     let (positions, _) = positions.as_chunks::<LANES>();
     let (addresses, _) = addresses.as_chunks_mut::<LANES>();
     for (positions, addresses) in positions.iter().zip(addresses) {
@@ -202,7 +203,7 @@ fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Addre
             // These comparisons are false for NaN.
             let on_grid = (-STEP_LIMIT..STEP_LIMIT).contains(&step);
             let within = (world >= bounds.walls[0][i]) & (world <= bounds.walls[1][i]);
-            astray |= u64::from(!(on_grid & within));
+            unplaced |= u64::from(!(on_grid & within));
             let least = if step < bounds.steps[0][i] { bounds.steps[0][i] } else { step };
             let clamped = if least > bounds.steps[1][i] { bounds.steps[1][i] } else { least };
             steps[i] = (clamped + INTEGER).to_bits().wrapping_sub(INTEGER.to_bits()) as i64;
@@ -211,7 +212,7 @@ fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Addre
             *address = Address::of(steps);
         }
     }
-    astray == 0
+    unplaced == 0
 }
 
 #[cfg(test)]
@@ -238,12 +239,12 @@ mod tests {
 
     #[test]
     fn particles_in_unwanted_bins_are_skipped_in_any_order_of_lookups() {
-        let sight = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
+        let deciding = DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK).grown(17, 20));
         let stretch = Stretch {
             first: MortonKey::of(IVec3::splat(-9)),
             end: MortonKey::of(IVec3::new(7, -3, 2)),
         };
-        let wanted = WantedBins { stretch, sight };
+        let wanted = WantedBins { stretch, deciding };
         // There are more bins along each axis than the cache can hold, and each bin is looked up
         // several times.
         let (edge, mut sieve) = (41_i64, BinSieve::new(wanted, 1));
@@ -255,14 +256,14 @@ mod tests {
         let addresses: Vec<Address> =
             (0..3 * edge.pow(3)).map(address).chain([Address::NOWHERE]).collect();
         let mut kept = addresses.clone();
-        sieve.keep(&mut kept);
+        sieve.filter(&mut kept);
         let expected = addresses.iter().map(|&address| {
-            let held = address.is_somewhere() && wanted.hold(bin_coord(address.bin));
-            if held { address } else { Address::NOWHERE }
+            let is_wanted = address.has_bin() && wanted.contains(bin_coord(address.bin));
+            if is_wanted { address } else { Address::NOWHERE }
         });
         assert!(kept.iter().copied().eq(expected));
-        let left = kept.iter().filter(|address| address.is_somewhere()).count();
-        assert!(left > 1000 && left + 1000 < kept.len(), "{left} of {}", kept.len());
+        let remaining = kept.iter().filter(|address| address.has_bin()).count();
+        assert!(remaining > 1000 && remaining + 1000 < kept.len(), "{remaining} of {}", kept.len());
     }
 
     #[test]
@@ -291,9 +292,9 @@ mod tests {
                     Ok(Some(address))
                 );
             }
-            for stray in [f64::NAN, f64::INFINITY, 1e9, -1e9] {
+            for invalid in [f64::NAN, f64::INFINITY, 1e9, -1e9] {
                 let mut one = positions.clone();
-                one[77][1] = stray;
+                one[77][1] = invalid;
                 assert!(!place_all(
                     &LaneBounds::of(&placer),
                     &one,

@@ -15,7 +15,7 @@ use super::bins::{FREE_BITS, tuple_bytes};
 use super::place::CHUNK;
 use super::spill::{SpilledBins, in_bin_of_run};
 
-/// Maximum number of bins in a run: the free bits of a spilled particle hold the number of its bin
+/// Maximum number of bins in a run. The free bits of a spilled particle hold the number of its bin
 /// in the run.
 const RUN_BINS: usize = 1 << RUN_BITS;
 const RUN_BITS: u32 = FREE_BITS;
@@ -110,14 +110,14 @@ impl BinPlan {
                             bin.at
                         })
                     }));
-                    let filed = found.iter().zip(&placed).enumerate().filter_map(
+                    let assigned = found.iter().zip(&placed).enumerate().filter_map(
                         |(i, (&at, &(_, record)))| {
                             let (run, in_run) =
                                 ((at? >> RUN_BITS) as usize, at? as usize % RUN_BINS);
                             Some((i, run, in_bin_of_run(in_run, record)))
                         },
                     );
-                    buffers.push_all(filed, &attributes)?;
+                    buffers.push_all(assigned, &attributes)?;
                     Ok::<_, io::Error>(())
                 })?;
                 buffers.flush()?;

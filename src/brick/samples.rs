@@ -1,5 +1,5 @@
-//! The samples of a page in memory: all of them, or only the nonzero ones if they are few, as in
-//! spray.
+//! The samples of a page in memory. If the bin is a single brick and few of its samples are
+//! nonzero, as in spray, only the nonzero samples are stored.
 
 use std::borrow::Cow;
 
@@ -7,8 +7,8 @@ use glam::IVec3;
 
 use super::{BrickSide, PageShape};
 
-/// Samples are stored sparsely, with their places, if at most one in `ONE_IN` is nonzero.
-const ONE_IN: usize = 8;
+/// Samples are stored sparsely, with their places, if at most one in `SPARSE_ONE_IN` is nonzero.
+const SPARSE_ONE_IN: usize = 8;
 
 /// Number of bits for each coordinate in a [`SamplePlace`].
 const PLACE_BITS: u32 = 5;
@@ -54,7 +54,7 @@ impl SamplePlace {
 impl PageSamples {
     /// Whether `nonzero` samples are few enough to be stored sparsely.
     pub fn are_sparse(nonzero: usize, shape: PageShape) -> bool {
-        shape.side == BrickSide::Sixteen && nonzero <= shape.brick_samples() / ONE_IN
+        shape.side == BrickSide::Sixteen && nonzero <= shape.brick_samples() / SPARSE_ONE_IN
     }
 
     /// Keeps all samples of a page, or only the nonzero ones if they are few.
@@ -95,7 +95,8 @@ impl PageSamples {
         }
     }
 
-    /// The samples as words for a file: all of them, or the places and values of the nonzero ones.
+    /// The samples as words for a file. A dense sample takes one word. A sparse sample takes two
+    /// words, its place and its value.
     pub fn to_words(&self) -> Cow<'_, [u16]> {
         match self {
             Self::Dense(samples) => samples.as_ref().into(),
@@ -147,7 +148,7 @@ pub(super) fn take_sparse(
     shape: PageShape,
 ) -> Box<[(SamplePlace, u16)]> {
     let (edge, reach) = (shape.edge() as usize, 2 * shape.ghost_layer as usize);
-    let mut sparse = Vec::with_capacity(shape.cells_a_particle() * cells.len());
+    let mut sparse = Vec::with_capacity(shape.cells_per_particle() * cells.len());
     // In the brick, the lowest sample around a cell has the coordinates that the cell has in the
     // bin, because the brick begins with its ghost layer.
     for [x, y, z] in cells {
@@ -173,7 +174,7 @@ mod tests {
         [0, 1].into_iter().flat_map(|ghost_layer| {
             let shape = PageShape { side: BrickSide::Sixteen, ghost_layer };
             let all = shape.brick_samples();
-            [0, 1, 5, all / ONE_IN, all / ONE_IN + 1, all].map(|nonzero| {
+            [0, 1, 5, all / SPARSE_ONE_IN, all / SPARSE_ONE_IN + 1, all].map(|nonzero| {
                 let mut samples = vec![0; all];
                 // 2731 is prime and not a factor of any brick's size.
                 (0..nonzero).for_each(|i| samples[i * 2731 % all] = (i * 7919 % 65535) as u16 + 1);
@@ -188,7 +189,10 @@ mod tests {
         for (shape, samples) in scenes() {
             let nonzero = samples.iter().filter(|&&sample| sample > 0).count();
             let kept = PageSamples::new(Cow::Borrowed(&samples), shape);
-            assert_eq!(matches!(kept, PageSamples::Sparse(_)), nonzero <= samples.len() / ONE_IN);
+            assert_eq!(
+                matches!(kept, PageSamples::Sparse(_)),
+                nonzero <= samples.len() / SPARSE_ONE_IN
+            );
             assert_eq!(kept.bytes(), PageSamples::most_bytes(nonzero, 1, shape));
             assert_eq!(kept.dense(shape), samples, "{nonzero} of {shape:?}");
             assert_eq!(PageSamples::dense_of_words(kept.to_words().into_owned(), shape), samples);

@@ -29,7 +29,7 @@ impl BrickSide {
 
     /// The number of bricks in a bin. [`PageInfo::bricks`](super::PageInfo::bricks) uses one bit
     /// for each brick, starting with the lowest.
-    pub fn bricks_a_bin(self) -> usize {
+    pub fn bricks_per_bin(self) -> usize {
         (BIN / self.cells()).pow(3) as usize
     }
 
@@ -70,7 +70,7 @@ impl PageShape {
     }
 
     /// Number of cells to which a particle can contribute.
-    pub fn cells_a_particle(self) -> usize {
+    pub fn cells_per_particle(self) -> usize {
         (1 + 2 * self.ghost_layer as usize).pow(3)
     }
 
@@ -81,7 +81,7 @@ impl PageShape {
 
     /// Number of samples in a whole bin if all bricks are stored.
     pub fn bin_samples(self) -> usize {
-        self.side.bricks_a_bin() * self.brick_samples()
+        self.side.bricks_per_bin() * self.brick_samples()
     }
 
     /// Tables, one for each axis, for indices into the samples of a dense bin with ghost layers.

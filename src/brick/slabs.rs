@@ -19,7 +19,7 @@ const LEAST: u64 = 1 << 14;
 const MOST: u64 = 1 << 21;
 /// Number of slabs in a stack's share of memory. It is large, so that the last slab, which is not
 /// full, wastes little of the share.
-const A_SHARE: u64 = 16;
+const SLABS_PER_SHARE: u64 = 16;
 
 /// A stack of words, stored in slabs.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ pub(super) struct Slabs {
 impl Slabs {
     /// Bytes of a slab of a stack that may take about `share` bytes in total.
     pub(super) fn slab_bytes(share: u64) -> usize {
-        1 << (share / A_SHARE).clamp(LEAST, MOST).ilog2()
+        1 << (share / SLABS_PER_SHARE).clamp(LEAST, MOST).ilog2()
     }
 
     /// An empty stack with slabs of `slab_bytes`.

@@ -43,7 +43,7 @@ pub struct SpilledBins {
     pub(super) components: Vec<usize>,
     runs: Vec<Range<usize>>,
     scratch: Scratch,
-    held: Vec<Mutex<RunParticles>>,
+    run_particles: Vec<Mutex<RunParticles>>,
     memory: SpillBudget,
 }
 
@@ -73,12 +73,12 @@ struct SpillBudget {
 
 impl SpillBudget {
     /// Reserves `bytes` if the limit allows it; returns whether the bytes were reserved.
-    fn take(&self, bytes: u64) -> bool {
+    fn reserve(&self, bytes: u64) -> bool {
         let fitting = |taken: u64| Some(taken + bytes).filter(|&taken| taken <= self.most);
         self.taken.fetch_update(Ordering::Relaxed, Ordering::Relaxed, fitting).is_ok()
     }
 
-    fn give_back(&self, bytes: u64) {
+    fn release(&self, bytes: u64) {
         self.taken.fetch_sub(bytes, Ordering::Relaxed);
     }
 
@@ -104,12 +104,12 @@ enum PieceLocation {
     File(u64),
 }
 
-/// Minimum bytes of a coded particle.
+/// Estimated minimum bytes of a coded particle, for large pieces of runs with thousands of bins.
 const CODED: usize = 6;
 
 impl SpilledBins {
-    /// Lower bound of the bytes that a particle takes before it is sorted. `components` has the
-    /// number of components of each attribute.
+    /// Estimated lower bound of the bytes that a particle takes before it is sorted. `components`
+    /// has the number of components of each attribute.
     pub fn least_particle_bytes(components: &[usize]) -> u64 {
         (tuple_bytes(components) - size_of::<Record>() + CODED) as u64
     }
@@ -123,8 +123,8 @@ impl SpilledBins {
         memory_bytes: u64,
     ) -> io::Result<Self> {
         let slab = Slabs::slab_bytes(memory_bytes / runs.len().max(1) as u64);
-        let held = || RunParticles { pieces: Vec::new(), memory: Slabs::new(slab) };
-        let held = runs.iter().map(|_| held().into()).collect();
+        let empty = || RunParticles { pieces: Vec::new(), memory: Slabs::new(slab) };
+        let run_particles = runs.iter().map(|_| empty().into()).collect();
         let memory = SpillBudget { most: memory_bytes, taken: AtomicU64::new(0) };
         Ok(Self {
             keys,
@@ -132,13 +132,13 @@ impl SpilledBins {
             components,
             runs,
             scratch: Scratch::in_folder(folder)?,
-            held,
+            run_particles,
             memory,
         })
     }
 
-    fn held(&self, run: usize) -> MutexGuard<'_, RunParticles> {
-        self.held[run].lock().unwrap_or_else(PoisonError::into_inner)
+    fn run_particles(&self, run: usize) -> MutexGuard<'_, RunParticles> {
+        self.run_particles[run].lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The runs, as ranges of bins.
@@ -191,17 +191,17 @@ impl SpilledBins {
             let kept = take(&self.sorted(run)?)?;
             // The next run adds about as much kept memory as the average run so far. Twice the
             // average allows for larger runs.
-            let soon = kept.saturating_add(2 * kept / (run as u64 + 1));
-            self.keep_within(self.memory.most.saturating_sub(soon))?;
+            let reserved = kept.saturating_add(2 * kept / (run as u64 + 1));
+            self.limit_memory(self.memory.most.saturating_sub(reserved))?;
         }
         Ok(())
     }
 
     /// Moves pieces to the scratch file until the pieces in memory take at most `bytes`, beginning
     /// with the pieces that are needed last.
-    fn keep_within(&self, bytes: u64) -> io::Result<()> {
+    fn limit_memory(&self, bytes: u64) -> io::Result<()> {
         for run in (0..self.runs.len()).rev() {
-            let RunParticles { pieces, memory } = &mut *self.held(run);
+            let RunParticles { pieces, memory } = &mut *self.run_particles(run);
             for piece in pieces.iter_mut().rev() {
                 if self.memory.taken() <= bytes {
                     return Ok(());
@@ -210,7 +210,7 @@ impl SpilledBins {
                     let words = memory.get(at..at + self.words(run, piece.particles));
                     let in_file = self.scratch.append(cast_slice(&words))?;
                     piece.at = PieceLocation::File(in_file);
-                    self.memory.give_back(memory.truncate(at));
+                    self.memory.release(memory.truncate(at));
                 }
             }
         }
@@ -219,26 +219,26 @@ impl SpilledBins {
 
     /// Adds a piece with `particles` particles to run number `run`: in memory if there is room, and
     /// otherwise in the scratch file.
-    fn keep(&self, run: usize, particles: usize, words: &[u64]) -> io::Result<()> {
-        if !self.keep_in_memory(run, particles, words) {
+    fn add_piece(&self, run: usize, particles: usize, words: &[u64]) -> io::Result<()> {
+        if !self.add_in_memory(run, particles, words) {
             let at = PieceLocation::File(self.scratch.append(cast_slice(words))?);
-            self.held(run).pieces.push(RunPiece { particles, at });
+            self.run_particles(run).pieces.push(RunPiece { particles, at });
         }
         Ok(())
     }
 
     /// Keeps a piece in memory if possible; returns whether the budget and the system had memory
     /// for the piece.
-    fn keep_in_memory(&self, run: usize, particles: usize, words: &[u64]) -> bool {
-        let RunParticles { pieces, memory } = &mut *self.held(run);
+    fn add_in_memory(&self, run: usize, particles: usize, words: &[u64]) -> bool {
+        let RunParticles { pieces, memory } = &mut *self.run_particles(run);
         let more = memory.bytes_for(words.len());
-        if !self.memory.take(more) {
+        if !self.memory.reserve(more) {
             return false;
         }
         let added = memory.push(words);
         match added {
             Ok(at) => pieces.push(RunPiece { particles, at: PieceLocation::Memory(at) }),
-            Err(_) => self.memory.give_back(more),
+            Err(_) => self.memory.release(more),
         }
         added.is_ok()
     }
@@ -270,7 +270,7 @@ impl SpilledBins {
         let next: Vec<AtomicUsize> =
             self.first[bins.clone()].iter().map(|first| AtomicUsize::new(first - begin)).collect();
         let width = self.width();
-        let RunParticles { pieces, memory } = self.held(run).take();
+        let RunParticles { pieces, memory } = self.run_particles(run).take();
         let buffers = || (Vec::new(), Vec::new());
         pieces.par_iter().try_for_each_init(buffers, |(records, bin_slots), piece| {
             let code = self.code(run, piece.particles);
@@ -296,7 +296,7 @@ impl SpilledBins {
             }
             Ok::<_, io::Error>(())
         })?;
-        self.memory.give_back(memory.bytes());
+        self.memory.release(memory.bytes());
         drop(memory);
         let first = self.first[bins.start..=bins.end].iter().map(|first| first - begin).collect();
         Ok(Bins::of_slots(slots, self.keys[bins].to_vec(), first, self.components.clone()))
@@ -418,11 +418,11 @@ impl RunBuffers<'_> {
         let mut words = code.encode(order.iter().map(|&i| records[i as usize]));
         words.resize(spilled.words(run, records.len()), 0);
         let width = spilled.width();
-        let behind: &mut [f32] = cast_slice_mut(&mut words[code.words()..]);
-        for (tuple, &i) in behind.chunks_exact_mut(width.max(1)).zip(&order) {
+        let attribute_words: &mut [f32] = cast_slice_mut(&mut words[code.words()..]);
+        for (tuple, &i) in attribute_words.chunks_exact_mut(width.max(1)).zip(&order) {
             tuple.copy_from_slice(&values[i as usize * width..][..width]);
         }
-        spilled.keep(run, records.len(), &words)?;
+        spilled.add_piece(run, records.len(), &words)?;
         records.clear();
         values.clear();
         Ok(())
@@ -502,12 +502,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let spilled = plan.spill(&particles, &[], runs, folder.path(), 1 << 16, memory_bytes);
         let spilled = spilled.unwrap().unwrap();
-        let places = |spilled: &SpilledBins| [spilled.memory.taken(), spilled.scratch.len()];
-        let (mut bins, mut bytes) = (Vec::new(), vec![places(&spilled)]);
+        let stored_bytes = |spilled: &SpilledBins| [spilled.memory.taken(), spilled.scratch.len()];
+        let (mut bins, mut bytes) = (Vec::new(), vec![stored_bytes(&spilled)]);
         let spilled = &spilled;
         spilled
             .drain(|run| {
-                bytes.push(places(spilled));
+                bytes.push(stored_bytes(spilled));
                 for bin in 0..run.keys().len() {
                     let mut records = run.contents(bin)?.packed().to_vec();
                     records.sort_unstable();
@@ -546,8 +546,8 @@ mod tests {
         let (room, kept) = (in_memory[0][0], in_memory[0][0] / in_memory.len() as u64);
         let (bins, bytes) = visited(room, kept);
         assert!(bins == expected);
-        for (seen, &[memory, _]) in bytes.iter().enumerate().skip(1) {
-            assert!(memory + seen as u64 * kept <= room, "{seen} runs: {bytes:?}");
+        for (runs, &[memory, _]) in bytes.iter().enumerate().skip(1) {
+            assert!(memory + runs as u64 * kept <= room, "{runs} runs: {bytes:?}");
         }
         assert!(bytes.last().unwrap()[1] > 0, "no run moved to the file: {bytes:?}");
     }

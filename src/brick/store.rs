@@ -1,4 +1,5 @@
-//! The storage of a field's samples: in memory, or elsewhere with recently used pages in memory.
+//! The storage of a field's samples, in memory or elsewhere. Pages that are stored elsewhere are
+//! cached in memory.
 
 use std::borrow::Cow;
 use std::fmt::Debug;
@@ -22,7 +23,7 @@ pub trait PageSource: Send + Sync + Debug {
 
 /// Number of remote pages that are fetched together, because neighbouring pages are often needed
 /// together.
-const TOGETHER: usize = 64;
+const PAGES_PER_FETCH: usize = 64;
 
 /// A page in memory: in the field itself, or in its cache.
 pub(super) enum CachedPage<'a> {
@@ -51,11 +52,11 @@ pub(super) enum PageStore {
         cache: Cache<u32, Arc<PageSamples>, PageWeighter>,
     },
     /// Pages outside the host's memory. When the host needs one of them, it fetches the group of
-    /// [`TOGETHER`] pages that contains it, and keeps the group.
+    /// [`PAGES_PER_FETCH`] pages that contains it, and keeps the group.
     Remote {
         pages: Box<dyn RemotePages>,
-        otherwise: Box<dyn PageSource>,
-        here: Vec<OnceLock<Vec<PageSamples>>>,
+        fallback: Box<dyn PageSource>,
+        fetched: Vec<OnceLock<Vec<PageSamples>>>,
     },
 }
 
@@ -74,11 +75,12 @@ impl PageStore {
         Self::Paged { source, cache }
     }
 
-    /// Pages outside the host's memory; if fetching fails, `otherwise` computes them.
-    pub(super) fn remote(pages: Box<dyn RemotePages>, otherwise: Box<dyn PageSource>) -> Self {
-        let here =
-            std::iter::repeat_with(OnceLock::new).take(pages.count().div_ceil(TOGETHER)).collect();
-        Self::Remote { pages, otherwise, here }
+    /// Pages outside the host's memory; if fetching fails, `fallback` computes them.
+    pub(super) fn remote(pages: Box<dyn RemotePages>, fallback: Box<dyn PageSource>) -> Self {
+        let fetched = std::iter::repeat_with(OnceLock::new)
+            .take(pages.count().div_ceil(PAGES_PER_FETCH))
+            .collect();
+        Self::Remote { pages, fallback, fetched }
     }
 
     /// Maximum number of bytes of pages in memory; `None` for no limit.
@@ -124,20 +126,22 @@ impl PageStore {
     /// # Panics
     /// If the pages are not remote.
     fn fetched(&self, page: usize, shape: PageShape) -> &PageSamples {
-        let Self::Remote { pages, otherwise, here } = self else {
+        let Self::Remote { pages, fallback, fetched } = self else {
             unreachable!("the pages are remote")
         };
-        let (group, first) = (&here[page / TOGETHER], page / TOGETHER * TOGETHER);
-        let fetched = group.get().unwrap_or_else(|| {
-            let range = first..pages.count().min(first + TOGETHER);
-            let made = |page| PageSamples::new(otherwise.samples(page).into(), shape);
-            let samples = pages.samples(range.clone()).unwrap_or_else(|| range.map(made).collect());
+        let (group, first) =
+            (&fetched[page / PAGES_PER_FETCH], page / PAGES_PER_FETCH * PAGES_PER_FETCH);
+        let in_group = group.get().unwrap_or_else(|| {
+            let range = first..pages.count().min(first + PAGES_PER_FETCH);
+            let computed = |page| PageSamples::new(fallback.samples(page).into(), shape);
+            let samples =
+                pages.samples(range.clone()).unwrap_or_else(|| range.map(computed).collect());
             // Two threads may fetch the same group. A lock would prevent this, but could cause a
             // deadlock: while the thread that holds the lock waits for parallel work, it may run
             // another task, which may wait for the same lock.
             group.get_or_init(|| samples)
         });
-        &fetched[page - first]
+        &in_group[page - first]
     }
 }
 

@@ -46,13 +46,13 @@ impl CellSums {
     #[inline(always)]
     pub fn rows(&self) -> impl Iterator<Item = (usize, &[[f64; 4]; ROW])> {
         let (rows, _) = self.cells.as_chunks::<ROW>();
-        full(self.rows).map(|row| (row, &rows[row]))
+        set_bits(self.rows).map(|row| (row, &rows[row]))
     }
 }
 
 /// The indices of the set bits in `words`.
 #[inline(always)]
-fn full(words: [u64; ROWS / 64]) -> impl Iterator<Item = usize> {
+fn set_bits(words: [u64; ROWS / 64]) -> impl Iterator<Item = usize> {
     (0..ROWS).step_by(64).zip(words).flat_map(|(first, mut word)| {
         std::iter::from_fn(move || {
             let bit = word.trailing_zeros() as usize;

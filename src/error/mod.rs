@@ -303,7 +303,7 @@ impl Error {
     /// If the missing attribute is one of the `parts` of the file that the reader skipped, adds the
     /// description of that part to the error.
     #[must_use]
-    pub(crate) fn of_left_out(mut self, parts: &[UnreadPart]) -> Self {
+    pub(crate) fn with_skipped_part(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {
             let is_missing = |part: &&UnreadPart| part.attribute() == Some(&**name);
             *left_out = parts.iter().find(is_missing).map(ToString::to_string);

@@ -56,7 +56,7 @@ impl SettingConflict {
     /// Returns the message, in which each setting has the name that `name` returns for it.
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         let setting = name(self.setting);
-        let named = |name_of: &'static str| name(Setting::named(name_of));
+        let name_of = |key: &'static str| name(Setting::named(key));
         match (&self.with, self.setting.name()) {
             (Conflict::Setting(other), _) => {
                 format!("{setting} cannot be used with {}", name(*other))
@@ -73,16 +73,16 @@ impl SettingConflict {
             }
             (Conflict::Indicator(kind), "mu0") => format!(
                 "{setting} needs the indicator counting, but {} is {}",
-                named("indicator"),
+                name_of("indicator"),
                 kind.name()
             ),
-            (Conflict::Indicator(IndicatorKind::Cloud), which) => {
-                let indicator = named("indicator");
-                let alternative = match which {
+            (Conflict::Indicator(IndicatorKind::Cloud), key) => {
+                let indicator = name_of("indicator");
+                let alternative = match key {
                     "iso" => {
-                        format!("; alternatively, set {} to mueller or yu-turk", named("method"))
+                        format!("; alternatively, set {} to mueller or yu-turk", name_of("method"))
                     }
-                    "sigma" => format!("; use {} instead", named("smooth")),
+                    "sigma" => format!("; use {} instead", name_of("smooth")),
                     _ => String::new(),
                 };
                 format!(
@@ -92,17 +92,17 @@ impl SettingConflict {
             }
             (Conflict::Indicator(kind), "smooth") => format!(
                 "{setting} needs the indicator cloud (the default), but {} is {}; use {} instead",
-                named("indicator"),
+                name_of("indicator"),
                 kind.name(),
-                named("sigma")
+                name_of("sigma")
             ),
             (Conflict::Indicator(kind), _) => format!(
                 "{setting} needs the indicator cloud (the default), but {} is {}",
-                named("indicator"),
+                name_of("indicator"),
                 kind.name()
             ),
-            (Conflict::Method(kernels), _) => {
-                format!("{setting} cannot be used if {} is {}", named("method"), kernels.name())
+            (Conflict::Method(method), _) => {
+                format!("{setting} cannot be used if {} is {}", name_of("method"), method.name())
             }
             (Conflict::Packed(path), _) => {
                 format!(
@@ -123,7 +123,7 @@ impl SettingConflict {
             (Conflict::SeveralSizes { attribute }, _) => format!(
                 "{setting} needs particles of one size, but the attribute {attribute:?} gives them \
                  different sizes; set {} to none to ignore the attribute",
-                named("size")
+                name_of("size")
             ),
             (Conflict::Sampled, _) => {
                 format!(
@@ -141,7 +141,7 @@ impl SettingConflict {
                 "{}: {setting} cannot be z, because y always points up in {format}; if z points up \
                  in the particles, set {} to z",
                 path.display(),
-                named("particles_up")
+                name_of("particles_up")
             ),
             (Conflict::Format { path, format }, "attributes") if format.holds_colours() => format!(
                 "{}: {format} cannot store {setting} other than one colour (3 or 4 numbers from 0 \
@@ -150,7 +150,7 @@ impl SettingConflict {
                 path.display()
             ),
             (Conflict::Format { path, format }, _) => {
-                format!("{}: {format} cannot store {setting}; use .ply, which can", path.display())
+                format!("{}: {format} cannot store {setting}; use .ply instead", path.display())
             }
         }
     }

@@ -1,5 +1,5 @@
-//! From particles to the field: indicators, filters, the recipe that combines them, and the
-//! calibration of the level at which the surface lies.
+//! The computation of the field from particles: indicators, filters, the recipe that combines them,
+//! and the calibration of the level at which the surface lies.
 //!
 //! Each stage with shaders is a folder: `mod.rs` states the formula and the guarantees, `cpu.rs`
 //! evaluates the formula on the CPU, and `vulkan.rs` runs the stage's shaders.

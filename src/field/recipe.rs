@@ -1,5 +1,5 @@
-//! From samples to the field, in one place for all backends: the paper's filters, or distances from
-//! clouds.
+//! The computation of the field from samples, defined once for all backends. It uses the paper's
+//! filters, or distances from clouds.
 //!
 //! A request determines the [`Filters`], and thereby the reach and the memory. A [`Recipe`] also
 //! contains the isovalue. For the paper's filters, the isovalue comes from the calibration.
@@ -89,10 +89,10 @@ impl Filters {
 
     /// The cells whose samples affect the field on `cells`, including the samples that decide which
     /// cells are inside.
-    pub fn seen(&self, cells: CellBox) -> CellBox {
+    pub fn input_cells(&self, cells: CellBox) -> CellBox {
         match self {
             Self::Paper(paper) => cells.grown(paper.halo(), paper.halo()),
-            Self::Distances(distances) => distances.seen(cells),
+            Self::Distances(distances) => distances.input_cells(cells),
         }
     }
 
@@ -184,7 +184,8 @@ impl PaperFilters {
 /// The shares of drops, blended with the shares of sheets, and the certainty of the sheets.
 #[derive(Debug, Clone)]
 pub struct ThinShares<T> {
-    /// The shares: N of step 4 in [`distance`](crate::field::distance), in 32768ths.
+    /// The shares, in 32768ths. The share of a drop is N of step 4 in
+    /// [`distance`](crate::field::distance).
     pub shares: T,
     /// The certainty of the sheets, if there are any.
     pub certainty: Option<T>,
@@ -313,7 +314,7 @@ pub fn sheets<F: Fields>(
 
 /// A backend's fields, and the filters that the backend runs on them. A clone of a field refers to
 /// the same samples.
-#[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
+#[allow(clippy::missing_errors_doc, reason = "the implementor defines the error")]
 pub trait Fields {
     /// Samples of a box of cells.
     type Field: Clone;
@@ -321,8 +322,8 @@ pub trait Fields {
     type Error;
 
     /// The samples around the requested cells, in cells 2^`level` times as wide, with a halo of
-    /// `halo` of these wider cells. Even with a halo of 0, the requested cells lie between the
-    /// middles of the outermost wider cells.
+    /// `halo` of these wider cells. At levels above 0, the requested cells lie between the middles
+    /// of the outermost wider cells even with a halo of 0.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// Clouds, continued into solids: see [`solid`](crate::field::solid). `scale` is the factor in

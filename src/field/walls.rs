@@ -186,11 +186,11 @@ impl Ends {
         flat: Option<usize>,
         grid: &Grid,
     ) -> Option<Self> {
-        let held = |position: &&[f64; 3]| grid.place(**position).is_ok();
-        let is_held = |bounds: &Bounds| {
-            [bounds.lo, bounds.hi].iter().all(|&corner| grid.place(corner.into()).is_ok())
+        let is_on_grid = |position: [f64; 3]| grid.place(position).is_ok();
+        let are_on_grid = |bounds: &Bounds| {
+            [bounds.lo, bounds.hi].iter().all(|&corner| is_on_grid(corner.into()))
         };
-        let bounds = known.filter(is_held).or_else(|| bounds_held(particles, grid))?;
+        let bounds = known.filter(are_on_grid).or_else(|| bounds_on_grid(particles, grid))?;
         let own = sizes.and_then(|sizes| {
             Some(OwnSizes { sizes, columns: sizes.columns(particles.attributes()).ok()? })
         });
@@ -205,18 +205,18 @@ impl Ends {
         let sides: Vec<SideColumns> =
             axes.flat_map(|axis| [0, 1].map(|end| side(axis, end))).collect();
         let lo = bounds.lo;
-        let look = |position: [f64; 3], size: f64| {
+        let count = |position: [f64; 3], size: f64| {
             // Most particles are far from all sides.
-            if sides.iter().any(|side| side.depth(position) < BEHIND[1]) && held(&&position) {
+            if sides.iter().any(|side| side.depth(position) < BEHIND[1]) && is_on_grid(position) {
                 sides.iter().for_each(|side| side.add(position, size, lo));
             }
         };
         match &own {
             Some(own) => own.sizes.finite_chunks(particles, &own.columns).for_each(|chunk| {
-                chunk.into_iter().for_each(|(position, size)| look(position, size));
+                chunk.into_iter().for_each(|(position, size)| count(position, size));
             }),
             None => finite_chunks(particles)
-                .for_each(|chunk| chunk.into_iter().for_each(|position| look(position, spacing))),
+                .for_each(|chunk| chunk.into_iter().for_each(|position| count(position, spacing))),
         }
         let mut ends = Self {
             reach: [0, 1, 2].map(|axis| [bounds.lo[axis], bounds.hi[axis]]),
@@ -391,9 +391,9 @@ impl SideColumns {
             return BoxSide::Unclear;
         }
         let has_gap = in_gap <= IN_GAP * area * (GAP.end - GAP.start);
-        let standing_for = if has_gap { shell_per_area } else { shell_per_area.min(SHELL) };
+        let particles_per_area = if has_gap { shell_per_area } else { shell_per_area.min(SHELL) };
         let mean = if shell > 0.0 { depths / shell } else { 0.0 };
-        let outside = (standing_for / 2.0 - mean).clamp(0.0, FARTHEST) * self.spacing;
+        let outside = (particles_per_area / 2.0 - mean).clamp(0.0, FARTHEST) * self.spacing;
         BoxSide::Plane(outward(self.end, self.at, outside))
     }
 }
@@ -407,15 +407,15 @@ impl ColumnCounts {
 
 /// Bounds of the particles that a grid can hold; `None` if it can hold no particle.
 #[must_use]
-pub fn bounds_held(particles: &dyn Particles, grid: &Grid) -> Option<Bounds> {
-    let is_held = |position: [f64; 3]| grid.place(position).is_ok();
+pub fn bounds_on_grid(particles: &dyn Particles, grid: &Grid) -> Option<Bounds> {
+    let is_on_grid = |position: [f64; 3]| grid.place(position).is_ok();
     let of_chunk = |chunk: Vec<[f64; 3]>| {
         let all = Bounds::of(&chunk);
-        if is_held(all.lo.into()) && is_held(all.hi.into()) {
+        if is_on_grid(all.lo.into()) && is_on_grid(all.hi.into()) {
             return all;
         }
-        let held = chunk.into_iter().filter(|&position| is_held(position));
-        Bounds::of(&held.collect::<Vec<_>>())
+        let on_grid = chunk.into_iter().filter(|&position| is_on_grid(position));
+        Bounds::of(&on_grid.collect::<Vec<_>>())
     };
     let bounds = finite_chunks(particles).map(of_chunk).reduce(|| Bounds::NONE, Bounds::joined);
     (bounds.finite > 0).then_some(bounds)
@@ -443,8 +443,8 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     let step = 10_f64.powi(-(digits as i32));
     let short = |at: f64| format!("{at:.digits$}").parse().unwrap_or(wall);
     let candidates = [0.0, 1.0, 2.0].map(|steps: f64| short(outward(end, wall, steps * step)));
-    let holds = |at: &f64| outside(end, *at, wall) >= 0.0 && outside(end, *at, reach) >= 0.0;
-    let of_few_digits = candidates.into_iter().find(holds).unwrap_or(wall);
+    let is_outside = |at: &f64| outside(end, *at, wall) >= 0.0 && outside(end, *at, reach) >= 0.0;
+    let of_few_digits = candidates.into_iter().find(is_outside).unwrap_or(wall);
     // Avoids a negative zero.
     if of_few_digits == 0.0 { 0.0 } else { of_few_digits }
 }
@@ -473,10 +473,10 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
                 let near = |at: f64, spacing: f64| {
                     (-SAME..=KEPT).contains(&(outside(end, wall, at) / spacing))
                 };
-                let shown = frames.iter().filter_map(|frame| frame.plane(axis, end));
-                let shown = shown.filter(|&at| near(at, spacing_at(frames, axis, end)));
-                let shown = shown.reduce(|a, b| if outside(end, b, a) > 0.0 { b } else { a });
-                match shown {
+                let planes = frames.iter().filter_map(|frame| frame.plane(axis, end));
+                let planes = planes.filter(|&at| near(at, spacing_at(frames, axis, end)));
+                let outermost = planes.reduce(|a, b| if outside(end, b, a) > 0.0 { b } else { a });
+                match outermost {
                     Some(at) => Some(rounded_for(frames, axis, end, at)),
                     None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
                     None => Some(wall),
@@ -506,17 +506,17 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     // Only the outermost plane can be a wall, because particles lie beyond the other planes.
     let wall = planes.into_iter().next()?;
     let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
-    let (mut shown, mut against) = (0, 0);
+    let (mut supporting, mut opposing) = (0, 0);
     for frame in frames {
         match frame.sides[axis][end] {
-            BoxSide::Plane(at) if is_same(at) => shown += 1,
+            BoxSide::Plane(at) if is_same(at) => supporting += 1,
             BoxSide::Stray => {}
             _ if frame.passes(axis, end, wall) => return None,
-            BoxSide::Ragged if is_same(frame.reach[axis][end]) => against += 1,
+            BoxSide::Ragged if is_same(frame.reach[axis][end]) => opposing += 1,
             _ => {}
         }
     }
-    (shown >= needed && shown > against).then(|| rounded_for(frames, axis, end, wall))
+    (supporting >= needed && supporting > opposing).then(|| rounded_for(frames, axis, end, wall))
 }
 
 /// A wall with few digits that holds all particles of the frames, except particles that are far
@@ -566,12 +566,12 @@ impl Ends {
 /// spacing at each side. A wall is moved if particles are slightly beyond it; if they are farther
 /// beyond it, its side becomes open. Also returns the walls that particles pass.
 #[must_use]
-pub fn holding(
+pub fn adapted(
     walls: &Walls,
     bounds: &Bounds,
     spacings: [[f64; 2]; 3],
 ) -> (Walls, Vec<BeyondWall>) {
-    let (mut holding, mut past) = (*walls, Vec::new());
+    let (mut adapted, mut past) = (*walls, Vec::new());
     for (axis, end) in (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]) {
         let (Some(wall), reach) = (walls.0[axis][end], [bounds.lo, bounds.hi][end][axis]) else {
             continue;
@@ -579,11 +579,11 @@ pub fn holding(
         let by = outside(end, reach, wall);
         if by > 0.0 {
             let moved = (by <= SAME * spacings[axis][end]).then_some(reach);
-            holding.0[axis][end] = moved;
+            adapted.0[axis][end] = moved;
             past.push(BeyondWall { axis: ['x', 'y', 'z'][axis], wall, reach, moved });
         }
     }
-    (holding, past)
+    (adapted, past)
 }
 
 #[cfg(test)]
@@ -716,7 +716,7 @@ mod tests {
             found,
             Walls([[Some(0.0), Some(90.0)], [Some(0.0), None], [Some(0.0), Some(40.0)]])
         );
-        // A scene of another simulation.
+        // This scene belongs to another simulation.
         let other = Walls([[Some(5.0), Some(20.0)], [Some(-1.0), None], [None, None]]);
         assert!(!common(&[dam], Some(&other), None).1);
     }
@@ -726,8 +726,8 @@ mod tests {
         let walls = Walls([[Some(0.0), Some(10.0)], [Some(0.0), None], [None, Some(5.0)]]);
         let bounds =
             Bounds { lo: DVec3::new(0.0, -0.25, -9.0), hi: DVec3::new(9.0, 90.0, 8.0), finite: 9 };
-        let (held, past) = holding(&walls, &bounds, [[1.0; 2]; 3]);
-        assert_eq!(held, Walls([[Some(0.0), Some(10.0)], [Some(-0.25), None], [None, None]]));
+        let (adapted, past) = adapted(&walls, &bounds, [[1.0; 2]; 3]);
+        assert_eq!(adapted, Walls([[Some(0.0), Some(10.0)], [Some(-0.25), None], [None, None]]));
         let moved: Vec<_> = past.iter().map(|past| (past.axis, past.wall, past.moved)).collect();
         assert_eq!(moved, [('y', 0.0, Some(-0.25)), ('z', 5.0, None)]);
     }

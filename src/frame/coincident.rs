@@ -34,16 +34,20 @@ pub struct CoincidentCounts {
 const BITS: u32 = 13;
 /// Maximum number of a bin's records for which the hash is used. Among more records, too many
 /// different records have equal hashes.
-const FEW: usize = 1 << (BITS - 1);
+const MOST_HASHED: usize = 1 << (BITS - 1);
 
 impl CoincidentCounts {
     /// Counts the coincident particles among the records of a bin.
     #[must_use]
     pub fn among(bin: IVec3, records: &[u64]) -> Self {
-        let mut suspects = if records.len() <= FEW { suspects(records) } else { records.to_vec() };
-        suspects.sort_unstable();
+        let mut candidates = if records.len() <= MOST_HASHED {
+            possible_duplicates(records)
+        } else {
+            records.to_vec()
+        };
+        candidates.sort_unstable();
         let mut found = Self { bin, ..Self::default() };
-        for same in suspects.chunk_by(|a, b| a == b).filter(|same| same.len() > 1) {
+        for same in candidates.chunk_by(|a, b| a == b).filter(|same| same.len() > 1) {
             let count = same.len() as u64;
             found.particles += count - 1;
             if count > found.most {
@@ -88,8 +92,10 @@ impl CoincidentCounts {
     }
 }
 
-/// Returns all records that occur more than once, and a few others.
-fn suspects(records: &[u64]) -> Vec<u64> {
+/// Returns all records that occur more than once, and the records whose hash equals the hash of a
+/// different record.
+fn possible_duplicates(records: &[u64]) -> Vec<u64> {
+    // The hashes that occur at least once, and the hashes that occur at least twice.
     let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
     // Multiplying by the golden ratio spreads a difference in any bit to the high bits.
     let bit = |record: u64| {
@@ -101,11 +107,11 @@ fn suspects(records: &[u64]) -> Vec<u64> {
         seen[1][word] |= seen[0][word] & bit;
         seen[0][word] |= bit;
     }
-    let again = |record: &u64| {
+    let is_repeated = |record: &u64| {
         let (word, bit) = bit(*record);
         seen[1][word] & bit != 0
     };
-    records.iter().copied().filter(again).collect()
+    records.iter().copied().filter(is_repeated).collect()
 }
 
 #[cfg(test)]

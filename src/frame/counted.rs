@@ -67,25 +67,25 @@ impl<'a> CountedFrame<'a> {
     /// Returns the particles, with their images in a periodic box, and the plan that `count`
     /// computes for them.
     fn with_images(
-        given: &'a dyn Particles,
+        input: &'a dyn Particles,
         sampling: &'a Sampling,
         invalid: InvalidParticles,
         count: impl FnOnce(&WithImages<'a>, CountingRoom) -> Result<BinPlan, BinError>,
     ) -> Result<(WithImages<'a>, BinPlan), FrameError> {
         let Sampling { grid, domain, periodic, resources, .. } = sampling;
-        let metered = MeteredParticles::new(given, &resources.control, Stage::Counting);
+        let metered = MeteredParticles::new(input, &resources.control, Stage::Counting);
         let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
         resources.go_on()?;
-        given.check()?;
-        check_attribute_memory(given, sampling)?;
+        input.check()?;
+        check_attribute_memory(input, sampling)?;
         let particles = particles?;
         let room = CountingRoom::within(resources.budget.0);
         let plan = count(&particles, room);
         // After a cancel, all positions are NaN, so the plan is useless.
         resources.go_on()?;
-        given.check()?;
+        input.check()?;
         let plan = match plan {
-            Err(BinError::TooManyBins { .. }) => return Err(over_budget(given, sampling, room)),
+            Err(BinError::TooManyBins { .. }) => return Err(over_budget(input, sampling, room)),
             plan => plan?,
         };
         Ok((particles, plan))
@@ -118,8 +118,8 @@ impl<'a> CountedFrame<'a> {
     }
 
     /// Checks the surface request, then counts the particles for it. If `plan` is given, it
-    /// replaces the count. `plan` must be a count of all particles, from a sampling in which the
-    /// settings that affect a plan were the same.
+    /// replaces the count. `plan` must be a count of all particles that was made with the same
+    /// settings, as far as settings affect a plan.
     pub fn for_surface(
         particles: &'a dyn Particles,
         sampling: &'a Sampling,
@@ -144,7 +144,7 @@ impl<'a> CountedFrame<'a> {
     pub fn estimate(&self) -> MemoryEstimate {
         let bins = self.bins();
         let estimate = self.sampling.estimate(&self.particles, &self.surfacing, bins, self.stretch);
-        let estimate = MemoryEstimate { places: self.plan.places_bytes(), ..estimate };
+        let estimate = MemoryEstimate { counted_positions: self.plan.places_bytes(), ..estimate };
         match self.sampling.method {
             // If particles have several sizes, two DIFs are computed for each octave from the
             // sorted particles: one for the particles' volumes, and one for their sizes.
@@ -185,7 +185,7 @@ impl Sampling {
         // Particles in the bins next to meshed blocks also affect the surface in these blocks.
         let near = |bin: IVec3| {
             let around = CellBox { lo: bin - 1, hi: bin + 2 };
-            stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.holds_bin(bin))
+            stretch == Stretch::ALL || around.cubes(1).any(|bin| stretch.contains_bin(bin))
         };
         let lookup = BinPlan::lookup_bytes(particles.len(), stretch != Stretch::ALL);
         let estimate =

@@ -140,8 +140,8 @@ pub enum FrameError {
     TooManyVertices,
     /// The surface does not fit into the caller's buffers.
     #[error(
-        "the surface has {vertices} vertices and {triangles} triangles, more than the given buffers \
-         can hold; use larger buffers"
+        "the surface has {vertices} vertices and {triangles} triangles, more than the given \
+         buffers can hold; use larger buffers"
     )]
     NoSpace {
         /// Number of vertices; each takes three f32.

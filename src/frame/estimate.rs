@@ -27,7 +27,7 @@ const PROGRAM: u64 = 8 << 20;
 const THREAD: u64 = 3 << 18;
 /// Minimum number of blocks that each thread meshes before the surfaces of these blocks are passed
 /// on.
-pub const BLOCKS_A_THREAD: usize = 2;
+pub const BLOCKS_PER_THREAD: usize = 2;
 /// Maximum memory, in bytes, of the blocks that get wide attributes at the same time, unless a
 /// single block needs more.
 pub const CARRIED_BYTES: u64 = 8 << 20;
@@ -49,7 +49,7 @@ pub struct MemoryEstimate {
     /// Tables of bins.
     pub index: u64,
     /// Positions of particles, kept from the first reading until particles are sorted.
-    pub places: u64,
+    pub counted_positions: u64,
     /// Sorted particles, with their attributes.
     pub particles: u64,
     /// Minimum size of the particles in the coded form in which they are stored until they are
@@ -160,7 +160,7 @@ impl Extraction {
         let cells = |halo: i32| ((BLOCK + 3 + 2 * halo) as u64).pow(3);
         let carried = self.components.iter().map(|&components| attribute::cell_bytes(components));
         let carrying = cells(self.carried_halo) * carried.max().unwrap_or(0);
-        let blocks = threads * BLOCKS_A_THREAD as u64;
+        let blocks = threads * BLOCKS_PER_THREAD as u64;
         let meshed = |blocks, vertex_bytes| blocks_bytes(blocks, vertices_of(blocks), vertex_bytes);
         let whole = meshed(blocks, self.vertex_bytes());
         let in_groups = meshed(blocks, vertex_bytes(self.normals, &[]))
@@ -207,9 +207,9 @@ impl MemoryEstimate {
     ) -> Self {
         let mut estimate = Self { input, ..Self::without_particles(extraction) };
         let nonzero =
-            |count: usize, shape: PageShape| count.saturating_mul(shape.cells_a_particle());
+            |count: usize, shape: PageShape| count.saturating_mul(shape.cells_per_particle());
         let page = |count: usize, shape: PageShape| {
-            let bricks = count.min(shape.side.bricks_a_bin());
+            let bricks = count.min(shape.side.bricks_per_bin());
             PageSamples::most_bytes(nonzero(count, shape), bricks, shape) as u64
         };
         if let Some(shape) = shape {
@@ -236,7 +236,8 @@ impl MemoryEstimate {
         let full_cells = |page: &PageInfo| (page.key, page.full_count as usize);
         for (octave, field) in packed.fields() {
             let shape = field.shape();
-            let nonzero = |(key, full): (MortonKey, usize)| (key, full * shape.cells_a_particle());
+            let nonzero =
+                |(key, full): (MortonKey, usize)| (key, full * shape.cells_per_particle());
             let pages = field.infos().iter();
             let coarser = (extraction.levels as u32 - 1).saturating_sub(octave);
             estimate.add_wide(wide_bytes(
@@ -301,14 +302,16 @@ impl MemoryEstimate {
 
     /// Peak memory, in bytes, if everything is kept in memory.
     pub fn in_core(&self) -> u64 {
-        let sampling =
-            self.sampling + self.input + self.particles + self.places.max(self.field - self.wide);
-        let meshing = self.meshing + self.field + self.surface + self.beside_the_surface();
+        let sampling = self.sampling
+            + self.input
+            + self.particles
+            + self.counted_positions.max(self.field - self.wide);
+        let meshing = self.meshing + self.field + self.surface + self.kept_particle_bytes();
         self.program + self.index + sampling.max(meshing)
     }
 
     /// Bytes of the particles that are kept for their attributes until the surface is done.
-    fn beside_the_surface(&self) -> u64 {
+    fn kept_particle_bytes(&self) -> u64 {
         if self.carried { self.particles } else { 0 }
     }
 
@@ -326,7 +329,7 @@ impl MemoryEstimate {
         match plan {
             MemoryPlan::InCore => 0,
             MemoryPlan::OutOfCore(shares) => {
-                self.spilled.saturating_sub(shares.coded) + self.beside_the_surface()
+                self.spilled.saturating_sub(shares.coded) + self.kept_particle_bytes()
             }
         }
     }
@@ -366,7 +369,7 @@ impl MemoryEstimate {
                     + self.meshing
                     + self.index
                     + self.field
-                    + self.beside_the_surface();
+                    + self.kept_particle_bytes();
                 budget.0.saturating_sub(others)
             }
         }

@@ -23,8 +23,8 @@ use crate::grid::{BIN, MortonKey, block_of_bin};
 /// cells in the face, because a wrinkled surface has more vertices than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
-/// The volume, in cubed spacings, that must be empty around a particle that has its own surface.
-const ALONE: i32 = 8;
+/// The volume, in cubed spacings, that is empty around a particle with its own surface.
+const EMPTY_VOLUME: i32 = 8;
 
 /// The expected vertices of a surface.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -105,8 +105,8 @@ pub(super) fn surface_of_octaves(
         let groups = of_octave.chunk_by(|a, b| wider(a) == wider(b));
         let joined = |group: &[(MortonKey, usize, bool)]| {
             let count = group.iter().map(|&(_, count, _)| count).sum();
-            let left = group.iter().any(|&(_, count, meshed)| meshed && !is_of_octave(count));
-            (MortonKey::of(wider(&group[0])), count, left)
+            let remains = group.iter().any(|&(_, count, meshed)| meshed && !is_of_octave(count));
+            (MortonKey::of(wider(&group[0])), count, remains)
         };
         of_octave = groups.map(joined).collect();
     }
@@ -140,7 +140,7 @@ pub(super) fn surface(
                 fullest = fullest.max(beside);
             }
         }
-        FACE * change + count as f64 * alone * f64::from(1.0 - fullest).powi(ALONE)
+        FACE * change + count as f64 * alone * f64::from(1.0 - fullest).powi(EMPTY_VOLUME)
     };
     let (mut vertices, mut squares) = (0.0, 0.0);
     // The block whose vertices are being summed. The bins of a block are consecutive.
@@ -229,8 +229,8 @@ mod tests {
         bins.dedup_by_key(|&mut (bin, _)| bin);
         let keyed = bins.iter().map(|&(bin, count)| (MortonKey::of(bin), count));
         let expected = surface_of_octaves(keyed, 2, 1.0, |_| true).vertices as f64;
-        // In wide cells, the cube has six faces of 6 x 6 bins. The fine fluid has no outer face. It
-        // adds vertices only because its bins are fuller than the bins around it.
+        // In wide cells, the cube has six faces of 6 x 6 bins. The fine fluid is completely inside
+        // the cube, and adds vertices only because its bins are fuller than the bins around it.
         let faces = 6.0 * 36.0 * FACE;
         assert!((faces..1.15 * faces).contains(&expected), "{expected} of {faces}");
         // In the finest cells, the coarse fluid alone would have four times as many vertices.

@@ -53,7 +53,7 @@ impl SampledKernels {
             regions: self.field.regions(walls).into_iter().map(LevelRegion::finest).collect(),
             crossings: Crossings::Fractions,
             attribute_smoothing: vec![self.attribute_smoothing.clone()],
-            nothing: FrameError::NoKernelSurface,
+            empty_error: FrameError::NoKernelSurface,
             contour: cube_by_cube(1, move |regions, meter| {
                 let regions = regions.iter().take_while(|_| meter.goes_on());
                 let meshes = regions.map(|&LevelRegion { cells: region, .. }| {

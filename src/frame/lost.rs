@@ -56,7 +56,7 @@ impl FromIterator<OccupiedBin> for OccupiedTiles {
 
 impl OccupiedTiles {
     /// Memory, in bytes, per bin while lost particles are counted.
-    pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<Row>()) as u64;
+    pub const BIN_BYTES: u64 = (size_of::<(IVec3, u32, TileMask)>() + size_of::<BinInRow>()) as u64;
 
     /// An empty list of tiles. If `own` cells are given, particles in other cells are images, which
     /// do not count.
@@ -71,8 +71,8 @@ impl OccupiedTiles {
 
     /// The bins in a stretch of blocks.
     pub fn within(&self, stretch: Stretch) -> impl Iterator<Item = OccupiedBin> + '_ {
-        let held = self.bins.iter().filter(move |(bin, ..)| stretch.holds_bin(*bin));
-        held.map(|&(bin, particles, tiles)| OccupiedBin { bin: bin.to_array(), particles, tiles })
+        let bins = self.bins.iter().filter(move |(bin, ..)| stretch.contains_bin(*bin));
+        bins.map(|&(bin, particles, tiles)| OccupiedBin { bin: bin.to_array(), particles, tiles })
     }
 
     /// Adds the tiles of other bins.
@@ -101,13 +101,13 @@ impl OccupiedTiles {
             }
             if let Some(own) = self.own {
                 let of_cell = |cell: IVec3| (cell.x + BIN * (cell.y + BIN * cell.z)) as usize;
-                let mut held = [0_u64; BIN.pow(3) as usize / 64];
+                let mut occupied_cells = [0_u64; BIN.pow(3) as usize / 64];
                 cells.filter(|&cell| own.contains(coord * BIN + cell)).map(of_cell).for_each(
                     |cell| {
-                        held[cell / 64] |= 1 << (cell % 64);
+                        occupied_cells[cell / 64] |= 1 << (cell % 64);
                     },
                 );
-                full.cells = held.iter().map(|held| u64::from(held.count_ones())).sum();
+                full.cells = occupied_cells.iter().map(|word| u64::from(word.count_ones())).sum();
             }
             let coincident = match self.own.filter(|own| !own.covers(&CellBox::cube(coord, BIN))) {
                 None => CoincidentCounts::among(coord, contents.packed()),
@@ -155,7 +155,7 @@ impl OccupiedTiles {
     /// A lower bound of the density in the tiles that contain particles, relative to the density of
     /// particles `spacing_cells` apart. In tiles smaller than a spacing, a single particle would
     /// look dense, so bins are used instead.
-    pub fn crowding(&self, spacing_cells: f64) -> f64 {
+    pub fn relative_density(&self, spacing_cells: f64) -> f64 {
         let (mean, edge) = if spacing_cells > f64::from(TILE) {
             (self.particles() / self.bins.len().max(1) as f64, BIN)
         } else {
@@ -180,28 +180,28 @@ impl OccupiedTiles {
     /// the bin count. Otherwise, one particle counts for each lost tile.
     pub fn lost(&self, surface: &StitchedSurface) -> io::Result<u64> {
         let bins = match surface.widest_level() {
-            0 => Row::sorted(self, surface)?,
-            widest => Row::in_wider_tiles(self, surface, widest)?,
+            0 => BinInRow::sorted(self, surface)?,
+            widest => BinInRow::in_wider_tiles(self, surface, widest)?,
         };
         let passed = |place: IVec3| {
-            let bin = Row::key(place.div_euclid(IVec3::splat(SIDE)));
-            let found = bins.binary_search_by_key(&bin, |row| Row::key(row.bin));
+            let bin = BinInRow::key(place.div_euclid(IVec3::splat(SIDE)));
+            let found = bins.binary_search_by_key(&bin, |row| BinInRow::key(row.bin));
             found.is_ok_and(|at| bins[at].passed & bit_of(place) != 0)
         };
-        let of_row = |row: &[Row]| {
+        let of_row = |row: &[BinInRow]| {
             let mut inside = 0;
-            let of_bin = |bin: &Row| {
+            let of_bin = |bin: &BinInRow| {
                 let mut outside = 0;
                 for x in 0..SIDE {
                     let passed = bin.passed >> x & FIRST;
                     outside |= (FIRST & !passed & !inside) << x;
                     inside = inside & !passed | bin.inside_behind >> x & passed;
                 }
-                let is_alone = |&bit: &u32| {
+                let is_away_from_surface = |&bit: &u32| {
                     let place = bin.bin * SIDE + cell_of_bit(bit);
                     (1..8).all(|i| !passed(place - corner_offset(i)))
                 };
-                let lost = bits(bin.occupied & outside).filter(is_alone).count();
+                let lost = bits(bin.occupied & outside).filter(is_away_from_surface).count();
                 if lost == bin.occupied.count_ones() as usize {
                     u64::from(bin.particles)
                 } else {
@@ -214,10 +214,10 @@ impl OccupiedTiles {
     }
 }
 
-/// A bin in a row of bins along x: its number of particles, and the tiles that contain particles or
-/// meet the surface.
+/// A bin in a row of bins along x: its number of particles, the tiles that contain particles, and
+/// the tiles that the surface passes through.
 #[derive(Debug, Default, Clone, Copy)]
-struct Row {
+struct BinInRow {
     bin: IVec3,
     particles: u32,
     occupied: TileMask,
@@ -227,16 +227,16 @@ struct Row {
     inside_behind: TileMask,
 }
 
-impl Row {
+impl BinInRow {
     fn key(bin: IVec3) -> [i32; 3] {
         [bin.z, bin.y, bin.x]
     }
 
     /// All bins that contain particles or meet the surface, row by row.
     fn sorted(occupied: &OccupiedTiles, surface: &StitchedSurface) -> io::Result<Vec<Self>> {
-        let holding =
+        let from_occupied =
             |&(bin, particles, occupied)| Self { bin, particles, occupied, ..Self::default() };
-        let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
+        let mut all: Vec<Self> = occupied.bins.iter().map(from_occupied).collect();
         for piece in 0..surface.pieces() {
             let first = surface.block(piece) * (BLOCK / TILE);
             for tile in &*surface.tiles(piece)? {
@@ -267,24 +267,24 @@ impl Row {
     ) -> io::Result<Vec<Self>> {
         let widest = i32::from(widest);
         let bin_of = |place: IVec3| place.div_euclid(IVec3::splat(SIDE));
-        let holding = |&(bin, particles, tiles): &(IVec3, u32, TileMask)| {
+        let from_occupied = |&(bin, particles, tiles): &(IVec3, u32, TileMask)| {
             let places = bits(tiles).map(|bit| (bin * SIDE + cell_of_bit(bit)) >> widest);
             let occupied = places.fold(0, |all, place| all | bit_of(place));
             Self { bin: bin >> widest, particles, occupied, ..Self::default() }
         };
-        let mut all: Vec<Self> = occupied.bins.iter().map(holding).collect();
-        // For each tile that the surface passes through: the wide tile that contains it, its end
-        // along x, and whether the inside of the surface follows at this end. Behind the last of
-        // these tiles, the rest of the wide tile is on one side of the surface.
+        let mut all: Vec<Self> = occupied.bins.iter().map(from_occupied).collect();
+        // For each tile that the surface passes through: the wide tile that contains it, the tile's
+        // end along x, and whether the inside of the surface follows at this end. Behind the last
+        // tile in a wide tile, the rest of the wide tile is on one side of the surface.
         let mut passed: Vec<([i32; 3], i32, bool)> = Vec::new();
         for piece in 0..surface.pieces() {
             let (block, level) = (surface.block(piece), surface.level(piece));
             let own = i32::from(level.level);
             for tile in &*surface.tiles(piece)? {
                 let place = tile.corner(block) / TILE;
-                // If the cells behind the tile are narrower, the surface between these cells and
-                // the tile belongs to their tiles. In this case, `behind` is the side of the tile's
-                // last cell instead of the side of the cell behind it.
+                // `behind` is the side of the cell behind the tile. If this cell is narrower, the
+                // surface between the tile and this cell belongs to the narrower tile, so `behind`
+                // is the side of the tile's last cell instead.
                 let narrower = level.of_tile(tile).narrower[1] >> (TILE - 1) & 1 == 1;
                 let corner = usize::from(!narrower);
                 let behind = tile.corners[corner] >> (TILE - 1) & 1 == 1;

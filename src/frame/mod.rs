@@ -460,8 +460,8 @@ impl Engine {
     /// in the tiles that contain particles. Returns `None` if the spacing is not known, and 0 for a
     /// frame that was sampled earlier.
     #[must_use]
-    pub fn crowding(&self) -> Option<f64> {
-        Some(self.occupied.crowding(self.facts().spacing_cells()?))
+    pub fn relative_density(&self) -> Option<f64> {
+        Some(self.occupied.relative_density(self.facts().spacing_cells()?))
     }
 
     /// The coincident particles, if there are any. Always `None` for a frame that was sampled
@@ -502,7 +502,7 @@ impl Engine {
             return Ok(lacking);
         }
         for (bin, key) in bins.keys().iter().enumerate() {
-            if !stretch.holds_bin(key.coord()) {
+            if !stretch.contains_bin(key.coord()) {
                 continue;
             }
             let contents = bins.contents(bin).map_err(self.resources.scratch_error())?;

@@ -129,14 +129,15 @@ impl Sampling {
 
     /// The cells whose particles affect a block's mesh, for an indicator. Kernels are not
     /// supported. `coarsest` is the largest size, if the particles have several sizes.
-    pub fn sight(
+    pub fn deciding_cells(
         &self,
         kind: IndicatorKind,
         surfacing: &Surfacing,
         coarsest: Option<f64>,
     ) -> DecidingCells {
         // `block` is the block of the widest cells whose lowest corner is the origin. If there are
-        // several levels, it includes the cells beyond its faces that dual cells and normals use.
+        // several levels, it is enlarged by four of the widest cells on each side, because dual
+        // cells and normals use cells beyond its faces.
         let widest = if self.periodic.is_some() { 0 } else { self.octaves(coarsest) - 1 };
         let further = if widest == 0 { 0 } else { 4 << widest };
         let block = CellBox::cube(IVec3::ZERO, BLOCK << widest).grown(further, further);
@@ -149,7 +150,7 @@ impl Sampling {
             // A particle also affects the cells around its own.
             let ghost_layer = kind.shape(self.side).ghost_layer;
             let further = ghost_layer + surfacing.fill_reach(self.spacing, &self.grid);
-            filters.seen(cells).grown(further, further)
+            filters.input_cells(cells).grown(further, further)
         };
         let of_attributes = if self.carried.is_empty() {
             CellBox::EMPTY
@@ -161,7 +162,7 @@ impl Sampling {
 }
 
 /// The width, in spacings, of the Gaussian that smooths attributes if the indicator is cloud.
-const ATTRIBUTES_SMOOTHED: f64 = 0.8;
+const ATTRIBUTE_SMOOTHING: f64 = 0.8;
 
 /// The parameters for extracting a surface. Kernels use only `normals` and `periodic_mesh`.
 #[derive(Debug, Clone)]
@@ -366,7 +367,7 @@ impl Surfacing {
     }
 
     /// Returns the smoothing of attributes. It is the smoothing of the field or, for clouds, a
-    /// width between the one for drops and the one for the bulk.
+    /// width between the width for drops and the width for the bulk.
     #[must_use]
     pub fn attribute_smoothing(
         &self,
@@ -374,7 +375,7 @@ impl Surfacing {
         spacing: Option<f64>,
         grid: &Grid,
     ) -> Smoothing {
-        let cells = |spacing: f64| ATTRIBUTES_SMOOTHED * spacing / grid.cell_size();
+        let cells = |spacing: f64| ATTRIBUTE_SMOOTHING * spacing / grid.cell_size();
         let sigma = match kind {
             IndicatorKind::Cloud => Sigma::at_least_a_cell(spacing.map(cells)),
             IndicatorKind::Symmetry | IndicatorKind::Counting => {

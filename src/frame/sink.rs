@@ -92,9 +92,9 @@ impl FieldSink {
     /// Stores `pages`, which must follow the previous pages.
     pub(super) fn push(&mut self, pages: Pages, shape: PageShape) -> io::Result<()> {
         match self {
-            Self::Memory { pages: kept, bytes } => {
+            Self::Memory { pages: stored, bytes } => {
                 *bytes += pages.iter().map(|(_, samples)| samples.bytes() as u64).sum::<u64>();
-                kept.extend(pages);
+                stored.extend(pages);
             }
             Self::Whole(_) => unreachable!("no pages follow a whole field"),
             Self::File { writer, full_cells, .. } => {

@@ -37,7 +37,7 @@ pub(super) struct SampledSizes {
 /// Edge, in blocks, of a cube of blocks that are meshed together.
 const BLOCKS_TOGETHER: i32 = 2;
 /// Maximum number of bins whose pages are computed together, all of the same octave.
-const TOGETHER: usize = 1 << 7;
+const BINS_PER_BATCH: usize = 1 << 7;
 
 impl SampledSizes {
     /// Computes the clouds of particles whose last attributes are their sizes.
@@ -65,9 +65,9 @@ impl SampledSizes {
             let pages = LayerPages::new(bins, octaves, octave, CloudWalls::of(&facts), &size);
             let sink = || FieldSink::new(plan, estimate, shape, &resources.scratch);
             let mut sinks = [sink().map_err(&in_scratch)?, sink().map_err(&in_scratch)?];
-            for first in (0..pages.bins()).step_by(TOGETHER) {
+            for first in (0..pages.bins()).step_by(BINS_PER_BATCH) {
                 resources.go_on()?;
-                let groups = first..pages.bins().min(first + TOGETHER);
+                let groups = first..pages.bins().min(first + BINS_PER_BATCH);
                 let (volumes, fractions) = pages.pages(groups).map_err(&in_scratch)?;
                 for (sink, pages) in sinks.iter_mut().zip([volumes, fractions]) {
                     sink.push(pages, shape).map_err(&in_scratch)?;
@@ -83,7 +83,7 @@ impl SampledSizes {
         Ok(Self::new(sampled, sized.finer.as_ref()))
     }
 
-    /// Determines the levels of cells for sampled clouds: from `finer`, or from the clouds if
+    /// Determines the levels of cells for sampled clouds from `finer`, or from the clouds if
     /// `finer` is `None`. In a periodic box, there is only one level.
     pub(super) fn new(sampled: SampledOctaves, finer: Option<&FinerBlocks>) -> Self {
         let clouds = &sampled.clouds;
@@ -146,7 +146,7 @@ impl SampledSizes {
             regions,
             crossings: iso.into(),
             attribute_smoothing: self.attribute_smoothings(surfacing),
-            nothing: FrameError::no_surface(field.recipe(), surfacing.solid.as_deref()),
+            empty_error: FrameError::no_surface(field.recipe(), surfacing.solid.as_deref()),
             contour: cube_by_cube(BLOCKS_TOGETHER, move |regions, meter| {
                 let mut meshes = Vec::new();
                 let is_uniform =
@@ -209,8 +209,9 @@ impl FieldOfLevel<'_> {
         meter: &Meter<'_>,
     ) -> Vec<Option<BlockMesh>> {
         let walls = self.walls;
-        let away = |region| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
-        let of = |region: &LevelRegion| (normals.cells(region.cells), away(region.cells));
+        let is_within_walls = |region| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
+        let of =
+            |region: &LevelRegion| (normals.cells(region.cells), is_within_walls(region.cells));
         let fields = self.field.on_each(regions.iter().map(of).collect());
         let mesh = |(region, field): (&LevelRegion, Option<Block>)| {
             meter.add(1);
@@ -226,8 +227,8 @@ impl FieldOfLevel<'_> {
 
     /// The field on `cells`, or the side of the surface on which all of these cells lie.
     fn on(&self, cells: CellBox) -> Result<Block, BoxSide> {
-        let away = self.walls.is_none_or(|walls| walls.covers(&cells));
-        self.field.crossed_on(cells.with_nearest_of(self.walls), away)
+        let is_within_walls = self.walls.is_none_or(|walls| walls.covers(&cells));
+        self.field.crossed_on(cells.with_nearest_of(self.walls), is_within_walls)
     }
 
     /// Returns `field`. If it was not computed, because all of `cells` lie on one side of the

@@ -6,14 +6,14 @@ use std::sync::Arc;
 use glam::IVec3;
 use rayon::prelude::*;
 
-use crate::backend::{REGIONS_TOGETHER, Stages, Surfaces};
+use crate::backend::{REGIONS_PER_CALL, Stages, Surfaces};
 use crate::brick::{Bins, FrameFacts};
 use crate::field::blur::Filter;
 use crate::field::blur::Smoothing;
 use crate::field::calibration::{CALIBRATING, MeasuredCalibration};
 use crate::field::indicator::SampledDif;
 use crate::field::recipe::Recipe;
-use crate::frame::estimate::{BLOCKS_A_THREAD, CARRIED_BYTES};
+use crate::frame::estimate::{BLOCKS_PER_THREAD, CARRIED_BYTES};
 use crate::grid::stretch::Stretch;
 use crate::grid::{BLOCK, CellBox, Domain, LevelRegion, MortonKey, PeriodicMesh};
 use crate::particles::AttributeInfo;
@@ -56,7 +56,7 @@ pub(super) fn cube_by_cube<'a>(
             blocks.iter_mut().try_for_each(finish)?;
             Ok::<_, io::Error>(blocks)
         };
-        regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
+        regions.chunks(REGIONS_PER_CALL).try_for_each(|regions| {
             // In Morton order, the regions of a cube are consecutive.
             let cubes: Vec<_> = regions.chunk_by(|a, b| cube(a) == cube(b)).collect();
             let blocks: Vec<_> = cubes.into_par_iter().map(meshes).collect::<io::Result<_>>()?;
@@ -75,7 +75,7 @@ pub(super) struct ExtractableField<'a> {
     /// For each level of cells, the smoothing of attributes.
     pub(super) attribute_smoothing: Vec<Smoothing>,
     /// The error if there is no surface.
-    pub(super) nothing: FrameError,
+    pub(super) empty_error: FrameError,
 }
 
 impl<'a> ExtractableField<'a> {
@@ -94,7 +94,7 @@ impl<'a> ExtractableField<'a> {
         Self {
             regions: all.regions().into_iter().map(LevelRegion::finest).collect(),
             crossings: recipe.iso.into(),
-            nothing: FrameError::no_surface(&recipe, solid.as_deref()),
+            empty_error: FrameError::no_surface(&recipe, solid.as_deref()),
             attribute_smoothing: vec![attribute_smoothing],
             contour: Box::new(move |regions, meter, finish, push| {
                 let solid = solid.as_deref();
@@ -143,7 +143,7 @@ impl<'a> CalibratedFrame<'a> {
         let attributes = self.carried.map_or(Vec::new(), |(_, infos)| infos.clone());
         let spool = self.blocks(timings)?;
         if spool.is_empty() {
-            return Err(self.extracted.nothing);
+            return Err(self.extracted.empty_error);
         }
         Ok(StitchedSurface::new(
             spool,
@@ -188,14 +188,14 @@ impl<'a> CalibratedFrame<'a> {
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file when it
     /// exceeds its share of memory. As many blocks are meshed at once as fit into the rest of that
-    /// share, but at least [`BLOCKS_A_THREAD`] per thread.
+    /// share, but at least [`BLOCKS_PER_THREAD`] per thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
         // Wide attributes are much larger than the mesh. They are added after meshing, to a few
         // blocks at a time.
         let wide = are_wide(spool.components().iter().copied());
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
-        let least = BLOCKS_A_THREAD * rayon::current_num_threads();
+        let least = BLOCKS_PER_THREAD * rayon::current_num_threads();
         // Any of these blocks can be full of spray, so each is assumed to be.
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.extracted.regions[..];

@@ -60,8 +60,8 @@ impl BlockLevel {
     /// The inverse of [`packed`](Self::packed); `None` for a number that `packed` never returns.
     #[must_use]
     pub fn unpacked(packed: u32) -> Option<Self> {
-        let [level, wider, narrower, nothing] = packed.to_le_bytes();
-        let valid = nothing == 0 && wider & narrower == 0 && usize::from(level) < MOST_LEVELS;
+        let [level, wider, narrower, unused] = packed.to_le_bytes();
+        let valid = unused == 0 && wider & narrower == 0 && usize::from(level) < MOST_LEVELS;
         valid.then_some(Self { level, wider, narrower })
     }
 

@@ -23,8 +23,8 @@ impl Mirror {
         Self { lo: walls.lo * 2, hi: walls.hi * 2 }
     }
 
-    /// Converts the planes to cells 2^`levels` times as wide. A plane that is neither between two
-    /// wide cells nor in the middle of one moves outwards to the next such place.
+    /// Converts the planes to cells 2^`levels` times as wide. A plane moves outwards to the nearest
+    /// boundary or middle of a wide cell, unless it already lies there.
     #[must_use]
     pub fn in_wider_cells(self, levels: u32) -> Self {
         let CellBox { lo, hi } = CellBox { lo: self.lo, hi: self.hi }.in_wider_cells(levels);

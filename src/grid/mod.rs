@@ -27,7 +27,7 @@ pub const FRACTION_BITS: u32 = 13;
 /// Fixed-point steps per cell edge: `F` in the integer formulas of the indicators.
 pub const FRACTIONS: u32 = 1 << FRACTION_BITS;
 
-/// Edge of a tile, in cells. A tile has 64 cells, so their signs fit in one machine word.
+/// Edge of a tile, in cells. A tile has 64 cells, so one bit per cell fits in a machine word.
 pub const TILE: i32 = 4;
 /// Edge of a bin, in cells. A bin is the unit in which particles are sorted and DIF bricks are
 /// paged.

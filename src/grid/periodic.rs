@@ -237,7 +237,7 @@ impl Periodic {
         // `inside` moves a particle to the lower face if its rounded coordinate equals a face.
         // Along a periodic axis, the particle's bin may therefore differ by one from the bin of its
         // original position, shifted by whole periods.
-        let aside = IVec3::from(period.map(|period| i32::from(period != 0)));
+        let margin = IVec3::from(period.map(|period| i32::from(period != 0)));
         let cells = self.cells().grown(self.reach + 1, self.reach + 1);
         let reached = CellBox {
             lo: cells.lo.div_euclid(IVec3::splat(BIN)),
@@ -249,7 +249,7 @@ impl Periodic {
             };
             let lo = moved(bins.lo).map(|step| step.div_euclid(edge) as i32);
             let hi = moved(bins.hi).map(|step| (step + edge - 1).div_euclid(edge) as i32);
-            CellBox { lo: IVec3::from(lo) - aside, hi: IVec3::from(hi) + aside }
+            CellBox { lo: IVec3::from(lo) - margin, hi: IVec3::from(hi) + margin }
                 .intersection(&reached)
         })
     }
@@ -357,17 +357,17 @@ mod tests {
                     1 => f64::from(hi as f32),
                     _ => lo + share(k) * (hi - lo),
                 };
-                let given = [along(x, 7), 30.0 * share(13), along(z, 17)];
+                let original = [along(x, 7), 30.0 * share(13), along(z, 17)];
                 let around: Vec<CellBox> =
-                    periodic.with_images(CellBox::cube(bin(given), 1)).collect();
+                    periodic.with_images(CellBox::cube(bin(original), 1)).collect();
                 assert_eq!(around.len(), 9, "y is open");
-                let inside = periodic.inside(given).unwrap();
+                let inside = periodic.inside(original).unwrap();
                 for at in
                     periodic.images(&grid, inside, grid.place(inside).unwrap()).chain([inside])
                 {
                     assert!(
                         around.iter().any(|bins| bins.contains(bin(at))),
-                        "{at:?} of {given:?}"
+                        "{at:?} of {original:?}"
                     );
                     images += 1;
                 }

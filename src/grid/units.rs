@@ -263,8 +263,9 @@ impl SolidOffset {
     /// The maximum offset.
     pub const MOST: f64 = 2.0;
 
-    /// The default, which hides the gap between the fluid and a solid in pictures. Cells cut off
-    /// curved faces and edges of a solid, but the resulting gap is smaller than this offset.
+    /// The default, which hides the gap between the fluid and a solid in pictures. In the mesh,
+    /// each cell flattens curved faces and edges of a solid, but the resulting gap is smaller than
+    /// this offset.
     pub const DEFAULT: Self = Self(-0.1);
 
     /// An offset in spacings.

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 
 use crc32fast::Hasher;
 
-use crate::system::cancel::{BELONGINGS, belonging};
+use crate::system::cancel::{COMPANION_SUFFIXES, companion_folder};
 
 use super::whole::counted_in;
 
@@ -24,7 +24,9 @@ pub struct FolderInProgress {
     /// The path to which an existing folder is moved if it is replaced. The moved folder is removed
     /// on drop.
     replaced: PathBuf,
-    place: PathBuf,
+    /// The final path of the folder.
+    target: PathBuf,
+    /// The final name of the folder, with which the names of its files begin.
     stem: String,
     extension: &'static str,
     /// Checksum of the files written so far.
@@ -33,29 +35,31 @@ pub struct FolderInProgress {
 
 impl FolderInProgress {
     /// Creates a temporary folder for files with the extension `extension`. The folder's final name
-    /// will be the name of the file at `place` without that file's extension.
+    /// will be the name of the file `list` without that file's extension. `temporary` is the path
+    /// of the list's temporary file.
     ///
     /// # Errors
-    /// If the folder cannot be created, and [`io::ErrorKind::InvalidInput`] if the name of `place`
+    /// If the folder cannot be created, and [`io::ErrorKind::InvalidInput`] if the name of `list`
     /// is not Unicode.
-    pub fn begin(place: &Path, temporary: &Path, extension: &'static str) -> io::Result<Self> {
-        let (place, stem) = named(place)?;
-        let [temporary, replaced] = BELONGINGS.map(|ending| belonging(temporary, ending));
+    pub fn begin(list: &Path, temporary: &Path, extension: &'static str) -> io::Result<Self> {
+        let (target, stem) = folder_and_stem(list)?;
+        let [temporary, replaced] =
+            COMPANION_SUFFIXES.map(|ending| companion_folder(temporary, ending));
         fs::create_dir(&temporary)?;
-        Ok(Self { temporary, replaced, place, stem, extension, sum: Hasher::new() })
+        Ok(Self { temporary, replaced, target, stem, extension, sum: Hasher::new() })
     }
 
-    /// Checks whether the folder for the list at `place` may be created or replaced.
+    /// Checks whether the folder for the file `list` may be created or replaced.
     ///
     /// An existing folder may be replaced if it is empty, or if `replaceable` is true and it
     /// contains only files that are named like those of [`write`](Self::write).
     ///
     /// # Errors
     /// [`io::ErrorKind::InvalidInput`] if the folder contains other files, or if the name of
-    /// `place` is not Unicode. [`io::ErrorKind::AlreadyExists`] if the folder is not empty and
+    /// `list` is not Unicode. [`io::ErrorKind::AlreadyExists`] if the folder is not empty and
     /// `replaceable` is false. The system's error if the folder cannot be read.
-    pub fn check(place: &Path, extension: &str, replaceable: bool) -> io::Result<()> {
-        let (folder, stem) = named(place)?;
+    pub fn check(list: &Path, extension: &str, replaceable: bool) -> io::Result<()> {
+        let (folder, stem) = folder_and_stem(list)?;
         let entries = match fs::read_dir(&folder) {
             Ok(entries) => entries,
             Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(()),
@@ -103,7 +107,7 @@ impl FolderInProgress {
 
     /// Checksum of the list followed by all files. `crc` is the checksum of the list, and `bytes`
     /// is its size in bytes.
-    pub fn sum_behind(&self, crc: u32, bytes: u64) -> u32 {
+    pub fn checksum_after_list(&self, crc: u32, bytes: u64) -> u32 {
         let mut all = Hasher::new_with_initial_len(crc, bytes);
         all.combine(&self.sum);
         all.finalize()
@@ -111,65 +115,65 @@ impl FolderInProgress {
 
     /// Renames the folder to its final name.
     ///
-    /// If a folder with this name exists and `replaceable` is true, first removes the list at
-    /// `named`, which names the files in the existing folder, and then replaces that folder. The
-    /// caller should hold the lock of [`turn`], so that other processes that write the same output
-    /// wait. On a file system without locks, these processes do not wait, and the folder of the
-    /// process that finishes last remains.
+    /// If a folder with this name exists and `replaceable` is true, first removes the existing file
+    /// `list`, which names the files in the existing folder, and then replaces that folder. The
+    /// caller should hold the lock of [`lock_parent_folder`], so that other processes that write
+    /// the same output wait. On a file system without locks, these processes do not wait, and the
+    /// folder of the process that finishes last remains.
     ///
     /// # Errors
-    /// [`io::ErrorKind::AlreadyExists`] if the file at `named` or the folder exists and
-    /// `replaceable` is false, and the system's error if a file or folder cannot be renamed or
-    /// removed.
-    pub fn keep(self, named: &Path, replaceable: bool) -> io::Result<()> {
-        if !replaceable && named.symlink_metadata().is_ok() {
+    /// [`io::ErrorKind::AlreadyExists`] if `list` or the folder exists and `replaceable` is false,
+    /// and the system's error if a file or folder cannot be renamed or removed.
+    pub fn keep(self, list: &Path, replaceable: bool) -> io::Result<()> {
+        if !replaceable && list.symlink_metadata().is_ok() {
             return Err(ErrorKind::AlreadyExists.into());
         }
-        let mut left = TRIES;
-        while let Err(fault) = fs::rename(&self.temporary, &self.place) {
+        let mut tries_left = TRIES;
+        while let Err(fault) = fs::rename(&self.temporary, &self.target) {
             let taken =
                 matches!(fault.kind(), ErrorKind::DirectoryNotEmpty | ErrorKind::AlreadyExists)
-                    || self.place.is_dir();
-            left -= 1;
-            if !taken || left == 0 {
+                    || self.target.is_dir();
+            tries_left -= 1;
+            if !taken || tries_left == 0 {
                 return Err(fault);
             }
             if !replaceable {
                 return Err(ErrorKind::AlreadyExists.into());
             }
-            unless_gone(fs::remove_file(named))?;
-            unless_gone(fs::remove_dir_all(&self.replaced))?;
-            unless_gone(fs::rename(&self.place, &self.replaced))?;
+            ignore_not_found(fs::remove_file(list))?;
+            ignore_not_found(fs::remove_dir_all(&self.replaced))?;
+            ignore_not_found(fs::rename(&self.target, &self.replaced))?;
         }
         Ok(())
     }
 }
 
-/// Maximum number of attempts to rename the folder while other processes keep creating its target.
+/// Maximum number of attempts to rename the folder while other processes keep creating a folder
+/// with the final name.
 const TRIES: u32 = 100;
 
 /// Ignores the error that a file is missing, because another process may have moved or removed it.
-fn unless_gone(done: io::Result<()>) -> io::Result<()> {
-    done.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
+fn ignore_not_found(result: io::Result<()>) -> io::Result<()> {
+    result.or_else(|fault| if fault.kind() == ErrorKind::NotFound { Ok(()) } else { Err(fault) })
 }
 
 /// Maximum time to wait for a lock.
-const PATIENCE: Duration = Duration::from_secs(2);
+const LOCK_TIMEOUT: Duration = Duration::from_secs(2);
 /// Interval between attempts to take a lock.
 const PAUSE: Duration = Duration::from_millis(2);
 
-/// Locks the parent folder of `place`, so that only one process at a time renames a list and its
-/// folder. Returns `None` if the folder cannot be locked, or if another process does not release
-/// the lock in time.
-pub fn turn(place: &Path) -> Option<File> {
+/// Locks the parent folder of the file `list`, so that only one process at a time renames a list
+/// and its folder. The lock is released when the returned file is dropped. Returns `None` if the
+/// folder cannot be locked, or if another process holds the lock for longer than `LOCK_TIMEOUT`.
+pub fn lock_parent_folder(list: &Path) -> Option<File> {
     let folder =
-        place.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        list.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let folder = File::open(folder).ok()?;
     let begun = Instant::now();
     loop {
         match folder.try_lock() {
             Ok(()) => return Some(folder),
-            Err(TryLockError::WouldBlock) if begun.elapsed() < PATIENCE => thread::sleep(PAUSE),
+            Err(TryLockError::WouldBlock) if begun.elapsed() < LOCK_TIMEOUT => thread::sleep(PAUSE),
             Err(_) => return None,
         }
     }
@@ -183,18 +187,17 @@ impl Drop for FolderInProgress {
     }
 }
 
-/// The path of the folder that belongs to the list at `place`, and the folder's name.
-fn named(place: &Path) -> io::Result<(PathBuf, String)> {
-    let stem = place.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
-    let no_text = || {
+/// The path of the folder that belongs to the file `list`, and the folder's name.
+fn folder_and_stem(list: &Path) -> io::Result<(PathBuf, String)> {
+    let stem = list.file_stem().and_then(|stem| stem.to_str()).map(str::to_owned);
+    let not_unicode = || {
         io::Error::new(
             ErrorKind::InvalidInput,
-            "its name is not valid Unicode, so other files cannot refer to \
-                               it; rename it",
+            "its name is not valid Unicode, so other files cannot refer to it; rename it",
         )
     };
-    let stem = stem.ok_or_else(no_text)?;
-    Ok((place.with_file_name(&stem), stem))
+    let stem = stem.ok_or_else(not_unicode)?;
+    Ok((list.with_file_name(&stem), stem))
 }
 
 fn is_piece(name: &str, stem: &str, extension: &str) -> bool {
@@ -212,7 +215,7 @@ mod tests {
     use super::*;
 
     /// Creates a folder with one file next to `m.list`. The file contains the name of the job.
-    fn filled(within: &Path, job: &str) -> FolderInProgress {
+    fn folder_of_job(within: &Path, job: &str) -> FolderInProgress {
         let mut folder =
             FolderInProgress::begin(&within.join("m.list"), &within.join(job), "piece").unwrap();
         folder.write(0, |out| out.write_all(job.as_bytes())).unwrap();
@@ -225,7 +228,7 @@ mod tests {
         let (list, piece) = (within.path().join("m.list"), within.path().join("m/m_0.piece"));
         let job = |name: &str| {
             for _ in 0..300 {
-                filled(within.path(), name).keep(&list, true).unwrap();
+                folder_of_job(within.path(), name).keep(&list, true).unwrap();
             }
         };
         thread::scope(|scope| {
@@ -238,26 +241,26 @@ mod tests {
     }
 
     #[test]
-    fn a_list_or_piece_that_appeared_before_keeping_is_refused_and_kept() {
+    fn keep_fails_and_preserves_a_list_or_piece_created_meanwhile() {
         for taken in ["m/m_0.piece", "m.list"] {
             let within = tempfile::tempdir().unwrap();
-            let folder = filled(within.path(), "a");
-            let theirs = within.path().join(taken);
-            fs::create_dir_all(theirs.parent().unwrap()).unwrap();
-            fs::write(&theirs, "theirs").unwrap();
+            let folder = folder_of_job(within.path(), "a");
+            let existing = within.path().join(taken);
+            fs::create_dir_all(existing.parent().unwrap()).unwrap();
+            fs::write(&existing, "existing").unwrap();
             let refused = folder.keep(&within.path().join("m.list"), false).unwrap_err();
             assert_eq!(refused.kind(), ErrorKind::AlreadyExists);
-            assert_eq!(fs::read_to_string(&theirs).unwrap(), "theirs");
+            assert_eq!(fs::read_to_string(&existing).unwrap(), "existing");
             assert_eq!(fs::read_dir(&within).unwrap().count(), 1, "other files remain");
         }
     }
 
     #[test]
-    fn only_one_job_has_the_turn_until_it_drops_it() {
+    fn a_second_writer_waits_for_the_folder_lock() {
         let within = tempfile::tempdir().unwrap();
         let list = within.path().join("m.list");
-        let first = turn(&list).unwrap();
-        let second = thread::spawn(move || turn(&list).is_some());
+        let first = lock_parent_folder(&list).unwrap();
+        let second = thread::spawn(move || lock_parent_folder(&list).is_some());
         thread::sleep(10 * PAUSE);
         assert!(!second.is_finished());
         drop(first);

@@ -55,16 +55,16 @@ pub fn open_particles(
         Unpacking { in_memory: unpacking.in_memory / opened.saturating_add(1), ..unpacking };
     let (mut stores, mut first) = (Vec::new(), None);
     for number in 0..count {
-        if !wanted.pieces.hold(number as usize) {
+        if !wanted.pieces.includes(number as usize) {
             stores.push(Pieces::default());
             continue;
         }
         let path = name.path(number);
         let bytes = open_bytes_within(&path, share)?;
         let piece = Bi4Piece::read(bytes.view()).and_then(|piece| {
-            let said = (piece.case.piece, piece.case.pieces);
+            let found = (piece.case.piece, piece.case.pieces);
             let expected = (Some(number), count);
-            if said == expected { Ok(piece) } else { Err(misplaced(said, expected)) }
+            if found == expected { Ok(piece) } else { Err(misplaced(found, expected)) }
         });
         let piece = piece.map_err(|fault| ReadError::new(&path, fault))?;
         first.get_or_insert((piece.case.spacing, piece.case.time));
@@ -80,7 +80,7 @@ pub fn open_particles(
     })
 }
 
-/// Whether the name of the file at `path` is that of a .bi4 piece other than the first.
+/// Whether the file at `path` is named like a .bi4 piece other than the first.
 pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
@@ -94,11 +94,13 @@ pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     })
 }
 
-fn misplaced(said: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {
-    let words = |(piece, pieces): (Option<u64>, u64)| {
+/// The error for a file that is not the expected piece. The pairs are the number of the piece and
+/// the number of pieces.
+fn misplaced(found: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {
+    let described = |(piece, pieces): (Option<u64>, u64)| {
         format!("piece {} of {pieces}", piece.map_or("?".to_owned(), |piece| piece.to_string()))
     };
-    malformed(HEAD, format!("expected {}, found {}", words(expected), words(said)))
+    malformed(HEAD, format!("expected {}, found {}", described(expected), described(found)))
 }
 
 /// The components of a name such as `Part_p00_0000.bi4`.
@@ -290,7 +292,7 @@ impl Case {
     }
 
     /// Stores the value called `name` if the name is known.
-    fn note(&mut self, name: &[u8], kind: Bi4Type, value: &[u8], endian: Endian) {
+    fn set_value(&mut self, name: &[u8], kind: Bi4Type, value: &[u8], endian: Endian) {
         let whole =
             matches!(kind.scalar, Some(Scalar::U32 | Scalar::U64)).then(|| number(value, endian));
         match name {
@@ -392,11 +394,11 @@ impl Bi4Tree {
         };
         let mut cursor = Cursor::new(bytes, HEAD, endian);
         let mut tree = Self { case: Case::default(), arrays: Vec::new(), endian };
-        // An item's children follow it directly, so the loop only needs to count the items that are
-        // still to come.
-        let mut to_come: u64 = 1;
-        while to_come > 0 {
-            to_come = to_come - 1 + tree.item(&mut cursor, wide)?;
+        // An item's children follow it directly, so the loop only needs to count the items that
+        // remain.
+        let mut remaining: u64 = 1;
+        while remaining > 0 {
+            remaining = remaining - 1 + tree.item(&mut cursor, wide)?;
         }
         Ok(tree)
     }
@@ -430,7 +432,7 @@ impl Bi4Tree {
                 Some(size) => cursor.take("a value", size)?,
                 None => text(cursor, "a text")?,
             };
-            self.case.note(&name, kind, value, self.endian);
+            self.case.set_value(&name, kind, value, self.endian);
         }
         Ok(())
     }

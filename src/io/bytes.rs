@@ -24,7 +24,7 @@ use super::{ReadError, ReadFault};
 const CHUNK: u64 = 1 << 18;
 /// Maximum compression ratio. Particles compress to between a half and a tenth of their size. Only
 /// a malicious file exceeds this ratio.
-const GREATEST_RATIO: u64 = 128;
+const MAX_RATIO: u64 = 128;
 
 /// When a page of a map is read, the system may also map up to this many bytes before the page.
 #[cfg(unix)]
@@ -85,8 +85,8 @@ impl Bytes {
             file.check()?;
             return read.and_then(|()| copied.finish());
         };
-        // If another program has shortened the file, `check` reports this change instead of the
-        // failed read.
+        // If another program has changed the file, for example shortened it, returns `Changed`
+        // instead of the result of the read.
         file.check()?;
         Ok(read?)
     }
@@ -134,7 +134,8 @@ impl PrivateBytes {
         }
     }
 
-    /// Releases the memory of a range. A later access reads the bytes again.
+    /// Releases the memory of a range of a scratch file. A later access reads the bytes again. Does
+    /// nothing for bytes in memory.
     pub fn release(&self, range: Range<usize>) {
         self.slice().release(range);
     }
@@ -216,7 +217,8 @@ impl<'a> Slice<'a> {
         self.bytes
     }
 
-    /// Releases the memory of a range. A later access reads the bytes again.
+    /// Releases the memory of a range of a map. A later access reads the bytes again. Does nothing
+    /// for bytes in memory.
     pub fn release(self, range: Range<usize>) {
         #[cfg(unix)]
         if let Some(map) = self.map {
@@ -286,8 +288,8 @@ impl<'a> ByteView<'a> {
                 assert!(range.end <= self.len(), "range to byte {} of {}", range.end, self.len());
                 let mut bytes = vec![0; range.len()];
                 if let Err(lost) = file.read_exact_at(range.start as u64, &mut bytes) {
-                    // If another program has shortened the file, `check` reports this change
-                    // instead of the failed read.
+                    // If another program has changed the file, for example shortened it, returns
+                    // `Changed` instead of the error of the read.
                     file.check()?;
                     return Err(lost.into());
                 }
@@ -300,8 +302,9 @@ impl<'a> ByteView<'a> {
     /// The bytes of a file that was read or unpacked as a whole, as text formats require.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] if the file was not read as a whole. When the file was opened, its
-    /// content did not require a whole copy, so the file has changed since then.
+    /// [`ReadFault::Changed`] if the file was not read as a whole. A reader calls this function
+    /// only for content that it reads as a whole when it opens a file. If the file was not read as
+    /// a whole, it had other content at that time, and has changed since.
     pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
         match self {
             Self::File(_) => Err(ReadFault::Changed),
@@ -309,7 +312,8 @@ impl<'a> ByteView<'a> {
         }
     }
 
-    /// Releases the memory of a range. A later access reads the bytes again.
+    /// Releases the memory of a range of a map. A later access reads the bytes again. Does nothing
+    /// for other bytes.
     pub fn release(self, range: Range<usize>) {
         if let Self::Kept(slice) = self {
             slice.release(range);
@@ -334,30 +338,32 @@ impl<'a> From<&'a [u8]> for ByteView<'a> {
     }
 }
 
-/// Number of bytes that are read before their memory is released.
+/// Number of bytes after which the memory of the bytes that were read is released, and number of
+/// bytes per read of a whole file.
 const WINDOW: u64 = 1 << 20;
 
-/// Reads bytes sequentially, and releases the memory of the bytes behind its position.
+/// Reads bytes sequentially, and releases the memory of the bytes before its position.
 #[derive(Debug)]
 pub struct SequentialReader<'a> {
     bytes: ByteView<'a>,
     at: u64,
     /// Start of the bytes whose memory has not been released.
-    held_from: u64,
+    unreleased_from: u64,
 }
 
 impl<'a> SequentialReader<'a> {
     /// Starts to read at byte `at`.
     pub fn new(bytes: ByteView<'a>, at: usize) -> Self {
-        Self { bytes, at: at as u64, held_from: at as u64 }
+        Self { bytes, at: at as u64, unreleased_from: at as u64 }
     }
 
-    fn give_back(&mut self) {
+    /// Releases the memory of the bytes from `unreleased_from` to the position.
+    fn release_passed(&mut self) {
         let end = self.at.min(self.bytes.len() as u64);
-        if self.held_from < end {
-            self.bytes.release(self.held_from as usize..end as usize);
+        if self.unreleased_from < end {
+            self.bytes.release(self.unreleased_from as usize..end as usize);
         }
-        self.held_from = self.at;
+        self.unreleased_from = self.at;
     }
 }
 
@@ -374,8 +380,8 @@ impl Read for SequentialReader<'_> {
             ByteView::Kept(_) => {}
         }
         self.at += read as u64;
-        if self.at - self.held_from >= WINDOW {
-            self.give_back();
+        if self.at - self.unreleased_from >= WINDOW {
+            self.release_passed();
         }
         Ok(read)
     }
@@ -383,7 +389,7 @@ impl Read for SequentialReader<'_> {
 
 impl Seek for SequentialReader<'_> {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        self.give_back();
+        self.release_passed();
         let end = self.bytes.len() as u64;
         let at = match to {
             SeekFrom::Start(at) => Some(at),
@@ -391,14 +397,14 @@ impl Seek for SequentialReader<'_> {
             SeekFrom::Current(by) => self.at.checked_add_signed(by),
         };
         self.at = at.ok_or(io::ErrorKind::InvalidInput)?;
-        self.held_from = self.at;
+        self.unreleased_from = self.at;
         Ok(self.at)
     }
 }
 
 impl Drop for SequentialReader<'_> {
     fn drop(&mut self) {
-        self.give_back();
+        self.release_passed();
     }
 }
 
@@ -422,7 +428,7 @@ impl Unpacking<'static> {
 
     /// Limits for inspecting a file. A large result goes to a scratch file in the system's
     /// temporary folder.
-    pub fn for_a_look() -> Self {
+    pub fn for_inspection() -> Self {
         static FOLDER: LazyLock<PathBuf> = LazyLock::new(std::env::temp_dir);
         Self { in_memory: ALWAYS_UNPACKED, scratch: &FOLDER, control: None }
     }
@@ -430,7 +436,7 @@ impl Unpacking<'static> {
 
 impl Unpacking<'_> {
     /// Returns an error if the caller has cancelled the work.
-    pub(super) fn go_on(&self) -> Result<(), ReadFault> {
+    pub(super) fn check_cancelled(&self) -> Result<(), ReadFault> {
         let Some(control) = self.control else { return Ok(()) };
         Ok(control.cancel.go_on().map_err(io::Error::from)?)
     }
@@ -491,7 +497,7 @@ impl<'a> UnpackBuffer<'a> {
     /// # Errors
     /// [`ReadFault::Scratch`] if the scratch file cannot be written.
     pub fn push(&mut self, bytes: &[u8]) -> Result<(), ReadFault> {
-        self.unpacking.go_on()?;
+        self.unpacking.check_cancelled()?;
         self.len += bytes.len() as u64;
         if self.file.is_none() && self.len > self.unpacking.in_memory {
             let mut file =
@@ -527,13 +533,13 @@ impl<'a> UnpackBuffer<'a> {
 
 /// Opens `path`, so that byte ranges of the file can be read. A file that is compressed by gzip, xz
 /// or zstd, whatever its extension, is unpacked with the limits of
-/// [`for_a_look`](Unpacking::for_a_look).
+/// [`for_inspection`](Unpacking::for_inspection).
 ///
 /// # Errors
 /// [`ReadFault::Io`] if the file cannot be opened or read, [`ReadFault::Empty`] for an empty file,
 /// and [`ReadFault::Compression`] for a damaged stream or one whose compression ratio is too high.
 pub fn open_bytes(path: &Path) -> Result<Bytes, ReadError> {
-    open_bytes_within(path, Unpacking::for_a_look())
+    open_bytes_within(path, Unpacking::for_inspection())
 }
 
 /// Opens `path` like [`open_bytes`], and reads all of it.
@@ -559,7 +565,7 @@ pub fn open_for_frame(
 ) -> Result<(Bytes, Option<FileStamp>), ReadError> {
     static UNPACKED: LastFile<Arc<Mmap>> = LastFile::new();
     /// Makes threads that read other frames of the file wait until the file is unpacked.
-    static TURN: Mutex<()> = Mutex::new(());
+    static UNPACKING: Mutex<()> = Mutex::new(());
     let compressed = File::open(path)
         .and_then(|file| {
             let stamp = FileStamp::of(&file.metadata()?);
@@ -573,7 +579,7 @@ pub fn open_for_frame(
         .unwrap_or_default();
     // Without a memory limit, no scratch file is used.
     let compressed = compressed.filter(|_| unpacking.in_memory < u64::MAX);
-    let _turn = compressed.map(|_| TURN.lock().unwrap_or_else(PoisonError::into_inner));
+    let _lock = compressed.map(|_| UNPACKING.lock().unwrap_or_else(PoisonError::into_inner));
     if let Some(stamp) = compressed {
         if let Some(map) = UNPACKED.get(path, stamp) {
             return Ok((Bytes::Kept(PrivateBytes::Scratch(map)), compressed));
@@ -653,7 +659,7 @@ fn file_bytes(file: &File, count: u64) -> Result<PrivateBytes, ReadFault> {
 
 /// The maximum number of bytes that a compressed file of `packed` bytes may unpack to.
 pub(super) fn unpacked_limit(packed: u64) -> u64 {
-    packed.saturating_mul(GREATEST_RATIO).max(ALWAYS_UNPACKED)
+    packed.saturating_mul(MAX_RATIO).max(ALWAYS_UNPACKED)
 }
 
 /// Unpacks a small file with a single gzip stream in one call, which takes half the time of a
@@ -694,7 +700,7 @@ fn unpack(
     collect(plain, unpacking, damaged, |total| {
         let what = || {
             format!(
-                "the data expands to more than {GREATEST_RATIO} times the file's size; decompress \
+                "the data expands to more than {MAX_RATIO} times the file's size; decompress \
                  the file with another program"
             )
         };

@@ -176,8 +176,8 @@ impl<B: Windows> ColumnStore<B> {
     /// per column.
     fn read<T: NearestCast>(&self, columns: &[Column], first: usize, out: &mut [T]) {
         let width = columns.len();
-        // The stride of a single row may be shorter than a tuple. In this case, the components are
-        // read one by one.
+        // If there is a single row, its stride may be shorter than a tuple. In this case, the
+        // components are read one by one.
         let neighbours =
             columns.iter().enumerate().all(|(i, column)| *column == columns[0].component(i));
         match columns {
@@ -333,9 +333,9 @@ impl ColumnStore {
         self.bytes.file_bytes()
     }
 
-    /// Makes these columns use the windows of `shelf`, which several files share.
-    pub fn share(&mut self, shelf: &Arc<WindowPool>) {
-        self.bytes.share(shelf);
+    /// Makes these columns use the windows of `pool`, which several files share.
+    pub fn share(&mut self, pool: &Arc<WindowPool>) {
+        self.bytes.share(pool);
     }
 }
 
@@ -426,7 +426,7 @@ macro_rules! stored {
             $(fn $type(value: $type) -> Self;)*
         }
 
-        #[allow(clippy::cast_lossless)] // The macro also converts i64, which `From` cannot.
+        #[allow(clippy::cast_lossless)] // `as` also converts i64, for which `From` is missing.
         impl NearestCast for f32 {
             $(fn $type(value: $type) -> Self { value as Self })*
         }

@@ -123,7 +123,7 @@ fn write_each_piece(
         let vertices = mesh.vertices(piece)?;
         let len = vertices.positions.len();
         let normals = if mesh.has_normals() { len } else { 0 };
-        assert_eq!(vertices.normals.len(), normals, "one normal a vertex, or none at all");
+        assert_eq!(vertices.normals.len(), normals, "one normal per vertex, or no normals");
         assert_eq!(vertices.attributes.len(), attributes.len(), "all attributes in every piece");
         for (info, values) in attributes.iter().zip(&vertices.attributes) {
             assert_eq!(
@@ -202,7 +202,7 @@ fn write_triangles_of_each_piece(
     write_pieces(out, mesh.pieces(), |piece, out| {
         let triangles = mesh.triangles(piece)?;
         let missing = triangles.as_flattened().iter().find(|&&vertex| vertex >= vertices);
-        assert!(missing.is_none(), "vertex {missing:?} is named of {vertices}");
+        assert!(missing.is_none(), "a triangle refers to vertex {missing:?} of {vertices}");
         count.fetch_add(triangles.len() as u64, Ordering::Relaxed);
         encode(&triangles, out);
         Ok(())

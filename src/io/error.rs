@@ -147,8 +147,8 @@ impl fmt::Display for ColourScale {
 }
 
 impl From<ReopenedError> for ReadFault {
-    fn from(lost: ReopenedError) -> Self {
-        match lost {
+    fn from(error: ReopenedError) -> Self {
+        match error {
             ReopenedError::Changed => Self::Changed,
             ReopenedError::Io(fault) => Self::Io(fault),
         }
@@ -156,8 +156,8 @@ impl From<ReopenedError> for ReadFault {
 }
 
 impl From<RereadError> for ReadFault {
-    fn from(unread: RereadError) -> Self {
-        match unread {
+    fn from(error: RereadError) -> Self {
+        match error {
             RereadError::Changed => Self::Changed,
             RereadError::Io(kind) => Self::Io(kind.into()),
         }

@@ -211,34 +211,34 @@ fn is_one_axis(fields: &[NamedArray], field: usize) -> bool {
     const AXES: [&str; 3] = ["x", "y", "z"];
     let NamedArray { name, shape } = &fields[field];
     let lower = name.to_ascii_lowercase();
-    let own: Vec<_> = AXES.into_iter().filter(|axis| lower.contains(axis)).collect();
+    let axes_in_name: Vec<_> = AXES.into_iter().filter(|axis| lower.contains(axis)).collect();
     let has = |axis: &str| {
-        let name = lower.replace(own[0], axis);
+        let name = lower.replace(axes_in_name[0], axis);
         fields.iter().any(|f| f.name.eq_ignore_ascii_case(&name) && f.shape == *shape)
     };
-    own.len() == 1 && AXES.into_iter().all(has)
+    axes_in_name.len() == 1 && AXES.into_iter().all(has)
 }
 
 fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement>, ReadFault> {
     let mut candidates = NamedColumns::of(fields);
     for (number, NamedArray { shape, .. }) in fields.iter().enumerate() {
         let Some(extent) = axes.extent(shape) else { continue };
-        // Arrays of shape (T, N) called x, y and z are not used as positions, because their axes
-        // may be frames and particles, or the two axes of a grid.
-        let may_be = match axes {
+        // Arrays of shape (T, N) called x, y and z are not used as positions, because it is unknown
+        // whether their axes are frames and particles, or the two axes of a grid.
+        let may_be_position = match axes {
             Axes::Particles => shape.len() <= 2,
             Axes::Components => true,
             Axes::Frames => shape.len() == 3,
         };
-        if may_be {
+        if may_be_position {
             candidates.push(number, extent.components);
         }
     }
     let Some((position, _)) = candidates.position() else { return Ok(None) };
     let extent = |field: usize| axes.extent(&fields[field].shape).expect("it was computed above");
     let ArrayExtent { frames, rows, .. } = extent(position.places[0].field);
-    let is_of = |other: &ArrayExtent| other.rows == rows && other.frames == frames;
-    if !position.places.iter().all(|place| is_of(&extent(place.field))) {
+    let fits_position = |other: &ArrayExtent| other.rows == rows && other.frames == frames;
+    if !position.places.iter().all(|place| fits_position(&extent(place.field))) {
         let names = position.places.iter().map(|place| {
             let NamedArray { name, shape } = &fields[place.field];
             format!("{name} {}", shown(shape))
@@ -261,7 +261,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         if let Some((axes, extent)) = fitting {
             chosen[number] = axes;
             columns.push(number, extent.components);
-        } else if let Some(numbers) = too_many(shape, rows, frames) {
+        } else if let Some(numbers) = excessive_components(shape, rows, frames) {
             left_out.push(UnreadPart::WideArray { name: name.clone(), numbers });
         } else if ["x", "y", "z"].iter().any(|axis| name.eq_ignore_ascii_case(axis)) {
             separate.push(name.clone());
@@ -282,7 +282,7 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
 }
 
 /// The number of values per particle of an array, if this number exceeds [`MOST_COMPONENTS`].
-fn too_many(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
+fn excessive_components(shape: &[u64], rows: u64, frames: Option<u64>) -> Option<u64> {
     let axes = match *shape {
         [first, second, ref axes @ ..] if Some(first) == frames && second == rows => axes,
         [first, ref axes @ ..] if first == rows => axes,

@@ -13,7 +13,7 @@ use super::{ReadError, bi4, vtp};
 ///
 /// # Errors
 /// [`ReadError`] if the file cannot be read.
-pub fn pieces_named(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
+pub fn listed_pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
     match InputFormat::of(path) {
         Some(InputFormat::Pvtp) => vtp::parallel::pieces(path),
         _ => Ok(Vec::new()),
@@ -31,7 +31,7 @@ pub fn files_of(path: &Path) -> Vec<PathBuf> {
     }
     let mut files = vec![file.to_owned()];
     // Ignores an error here, because reading the file reports it.
-    let named = pieces_named(file).unwrap_or_default().into_iter();
+    let named = listed_pieces(file).unwrap_or_default().into_iter();
     let snapshot =
         snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {
             let base = snapshot_piece(file).map_or_else(|| file.to_owned(), |(base, _)| base);

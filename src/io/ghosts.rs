@@ -14,7 +14,7 @@ use super::columns::Scalar;
 use super::wanted::GHOSTS;
 
 /// Bits of VTK's flags for a cell that is a copy (1), refined by finer cells (8), or hidden (32).
-/// Other bits describe neighbours of copies.
+/// Cells that have only other bits are kept.
 const LEFT_OUT: i64 = 1 | 8 | 32;
 
 /// Whether an array of cell data can contain flags.
@@ -90,18 +90,21 @@ impl Flags<'_> {
 pub(super) struct VertexPoints<'a> {
     vertices: &'a VertexCells,
     points: usize,
-    copies: Bits,
-    own: Bits,
+    /// Points with a flagged cell.
+    flagged: Bits,
+    /// Points with an unflagged cell.
+    unflagged: Bits,
     count: usize,
-    strayed: Option<(usize, i64)>,
+    /// The first cell whose point does not exist, and the number of this point.
+    first_invalid: Option<(usize, i64)>,
 }
 
 impl<'a> VertexPoints<'a> {
     /// Starts to collect the points of `vertices`. The caller has checked that the file contains
     /// `points` points.
     pub fn new(vertices: &'a VertexCells, points: usize) -> Self {
-        let [copies, own] = [0; 2].map(|_| Bits::new(points));
-        Self { vertices, points, copies, own, count: 0, strayed: None }
+        let [flagged, unflagged] = [0; 2].map(|_| Bits::new(points));
+        Self { vertices, points, flagged, unflagged, count: 0, first_invalid: None }
     }
 
     pub fn take(&mut self, cell: usize, point: i64) {
@@ -109,32 +112,33 @@ impl<'a> VertexPoints<'a> {
         match usize::try_from(point) {
             Ok(point) if point < self.points && cell < self.vertices.count => {
                 if self.vertices.flagged.get(cell) {
-                    self.copies.set(point)
+                    self.flagged.set(point)
                 } else {
-                    self.own.set(point)
+                    self.unflagged.set(point)
                 }
             }
             _ => {
-                self.strayed.get_or_insert((cell, point));
+                self.first_invalid.get_or_insert((cell, point));
             }
         }
     }
 
-    /// Ranges of the points that are kept, in order. The error describes what is wrong with the
-    /// cells.
-    pub fn left(self) -> Result<Vec<Range<usize>>, String> {
+    /// Ranges of the points that are kept, in order. The error describes the invalid cell, or
+    /// states that the numbers of cells and points differ.
+    pub fn kept_ranges(self) -> Result<Vec<Range<usize>>, String> {
         let (points, cells) = (self.points, self.vertices.count);
-        if let Some((cell, point)) = self.strayed {
+        if let Some((cell, point)) = self.first_invalid {
             return Err(format!("cell {cell} of {cells} refers to point {point} of {points}"));
         }
         if self.count != cells {
             return Err(format!("{cells} cells refer to {} points", self.count));
         }
-        let mut left = Vec::new();
-        for point in (0..points).filter(|&point| !self.copies.get(point) || self.own.get(point)) {
-            append(&mut left, point..point + 1);
+        let mut kept = Vec::new();
+        let is_kept = |point: &usize| !self.flagged.get(*point) || self.unflagged.get(*point);
+        for point in (0..points).filter(is_kept) {
+            append(&mut kept, point..point + 1);
         }
-        Ok(left)
+        Ok(kept)
     }
 }
 
@@ -147,12 +151,12 @@ pub(super) fn append(ranges: &mut Vec<Range<usize>>, next: Range<usize>) {
 }
 
 impl ParticleFile {
-    /// Keeps the points in the ranges `left`, or all points if `left` is `None`. The removed points
+    /// Keeps the points in the ranges `kept`, or all points if `kept` is `None`. The removed points
     /// are counted as ghosts.
-    pub(super) fn with_points(mut self, left: Option<Vec<Range<usize>>>) -> Self {
-        if let Some(left) = left {
+    pub(super) fn with_points(mut self, kept: Option<Vec<Range<usize>>>) -> Self {
+        if let Some(kept) = kept {
             let all = self.particles.len();
-            self.particles.keep(left);
+            self.particles.keep(kept);
             self.ghosts += all - self.particles.len();
         }
         self

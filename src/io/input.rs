@@ -9,7 +9,7 @@ use super::bytes::{ByteView, Bytes, Unpacking, open_bytes, open_bytes_within, op
 use super::collection::{FrameBlock, is_list};
 pub use super::input_format::InputFormat;
 use super::input_format::extension;
-use super::joined::{refuse_other_scales, refuse_twice};
+use super::joined::{check_colour_scales, check_distinct_files};
 use super::pieces::join_files;
 use super::text_format::TextHint;
 use super::wanted::{WantedParticles, WantedPieces};
@@ -139,13 +139,13 @@ pub(super) fn open_each<T: Send>(
     unpacking: Unpacking,
     open: impl Fn(&Path, WantedParticles, Unpacking) -> Result<T, ReadError> + Sync,
 ) -> Result<Vec<Option<T>>, ReadError> {
-    refuse_twice(paths.iter().copied())?;
+    check_distinct_files(paths.iter().copied())?;
     let count = paths.len().max(1) as u64;
     let share = Unpacking { in_memory: unpacking.in_memory / count, ..unpacking };
     // `wanted.pieces` selects among the files, so all pieces of each file are read.
     let whole = WantedParticles { pieces: WantedPieces::All, ..wanted };
     let open = |(number, path): (usize, &&Path)| {
-        wanted.pieces.hold(number).then(|| open(path, whole, share)).transpose()
+        wanted.pieces.includes(number).then(|| open(path, whole, share)).transpose()
     };
     // Opens all files before it returns, so that the error is always that of the first faulty file.
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
@@ -163,13 +163,13 @@ pub(super) fn join(
     files: Vec<Option<ParticleFile>>,
     wanted: WantedParticles,
 ) -> Result<ParticleFile, ReadError> {
-    refuse_other_scales(paths, &files, wanted.attributes)?;
-    refuse_other_units(paths, &files)?;
+    check_colour_scales(paths, &files, wanted.attributes)?;
+    check_units(paths, &files)?;
     join_files(files, wanted.pieces).map_err(|(file, fault)| ReadError::new(paths[file], fault))
 }
 
 /// Returns an error if two files have different units of length.
-fn refuse_other_units(paths: &[&Path], files: &[Option<ParticleFile>]) -> Result<(), ReadError> {
+fn check_units(paths: &[&Path], files: &[Option<ParticleFile>]) -> Result<(), ReadError> {
     let mut units = paths.iter().zip(files).filter_map(|(path, file)| {
         let unit = file.as_ref()?.unit_metres;
         Some((path, unit))
@@ -296,8 +296,8 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     };
     let bytes = open_bytes(path)?;
     let bytes = match extension.as_deref() {
-        Some("vtk") => vtk::unless_text(bytes, Unpacking::in_memory()),
-        Some("vtp" | "vtu") => vtp::unless_inline(bytes),
+        Some("vtk") => vtk::whole_file_if_text(bytes, Unpacking::in_memory()),
+        Some("vtp" | "vtu") => vtp::whole_file_if_inline(bytes),
         // Only the header of a .ply is read, so its text need not be converted.
         _ => Ok(bytes),
     };
@@ -367,7 +367,7 @@ mod tests {
         let known: BTreeSet<&str> = KNOWN
             .split(&[',', ' '][..])
             .filter_map(|word| word.rsplit_once('.'))
-            .map(|(_, own)| own)
+            .map(|(_, extension)| extension)
             .collect();
         let (_, arms) =
             include_str!("input_format.rs").split_once("match extension(path)?").unwrap();

@@ -20,7 +20,9 @@ use super::{ParticleFile, Pieces, ReadError, ReadFault};
 ///
 /// # Errors
 /// [`ReadFault::Twice`] with the first repeated path.
-pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(), ReadError> {
+pub fn check_distinct_files<'a>(
+    paths: impl IntoIterator<Item = &'a Path>,
+) -> Result<(), ReadError> {
     let mut known: HashMap<(Identity, Option<u64>), &Path> = HashMap::new();
     for path in paths {
         let (file, step) = file_and_step(path);
@@ -38,13 +40,13 @@ pub fn refuse_twice<'a>(paths: impl IntoIterator<Item = &'a Path>) -> Result<(),
 /// Returns an error if a requested colour has different scales in different files. `files` has
 /// `None` for files that were not opened.
 ///
-/// Bytes and fractions from 0 to 1 can be joined. Floating-point numbers from 0 to 255 cannot be
-/// joined with fractions, and colours cannot be joined with plain numbers. Wider integers from 0 to
-/// 255 count as bytes.
+/// Bytes and fractions from 0 to 1 can be joined. Floating-point numbers from 0 to 255 can be
+/// joined neither with bytes nor with fractions, and colours cannot be joined with plain numbers.
+/// Wider integers from 0 to 255 count as bytes.
 ///
 /// # Errors
 /// [`ReadFault::ColourScale`] with the first file whose scale differs.
-pub(super) fn refuse_other_scales(
+pub(super) fn check_colour_scales(
     paths: &[&Path],
     files: &[Option<ParticleFile>],
     wanted: WantedAttributes,

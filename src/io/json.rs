@@ -50,6 +50,7 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// Decodes positions one by one, without a list of all positions in memory.
 struct Positions<'a, 'u> {
     rows: &'a mut UnpackBuffer<'u>,
+    /// The result of the last write to `rows`. The errors of serde cannot contain it.
     scratch: &'a mut Result<(), ReadFault>,
 }
 

@@ -47,9 +47,9 @@ pub(super) fn is_dump(head: &[u8]) -> bool {
 /// Skips a step and returns its number. `None` at the end of the file.
 ///
 /// # Errors
-/// [`ReadFault::Line`] for an invalid line, and [`ReadFault::Unsupported`] for a dump of anything
-/// but atoms.
-pub(super) fn pass(lines: &mut TextLines) -> Result<Option<u64>, ReadFault> {
+/// [`ReadFault::Line`] for an invalid line, and [`ReadFault::Unsupported`] for a dump that does not
+/// contain atoms.
+pub(super) fn skip_step(lines: &mut TextLines) -> Result<Option<u64>, ReadFault> {
     Ok(DumpStep::next(lines)?.map(|step| step.number))
 }
 
@@ -147,8 +147,10 @@ impl DumpStep {
         });
         let shown = names.join(" ");
         let no_position = || {
-            let what =
-                format!("no columns x, y and z (or xu, xs or xsu and so on) among {shown:?}");
+            let what = format!(
+                "no position among the columns {shown:?}; expected x y z, xu yu zu, xs ys zs or \
+                 xsu ysu zsu"
+            );
             ReadFault::Line { line: self.lines_above, what }
         };
         let (columns, are_fractions) = found.ok_or_else(no_position)?;

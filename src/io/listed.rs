@@ -32,9 +32,9 @@ fn within(folder: &Path, name: &Path) -> PathBuf {
             part => plain.push(part),
         }
     }
-    let (same, whole) = (|path: &Path| path.canonicalize().ok(), folder.join(name));
+    let (canonical, joined) = (|path: &Path| path.canonicalize().ok(), folder.join(name));
     let has_parents = name.components().any(|part| part == Component::ParentDir);
     // If a folder is a symbolic link, `..` may lead to another folder. In this case, `..` must
     // stay.
-    if has_parents && same(&whole) != same(&plain) { whole } else { plain }
+    if has_parents && canonical(&joined) != canonical(&plain) { joined } else { plain }
 }

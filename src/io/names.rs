@@ -90,8 +90,8 @@ const COLUMN_WORDS: [&str; 34] = [
 /// LAMMPS writes `xu` for positions that are not wrapped into the periodic box.
 const AXIS_FIRST: [&str; 7] = ["coordinate", "coord", "position", "pos", "p", "m", "u"];
 
-/// Names of the field that contains the time of a file, in order of preference. VTK writes the
-/// first, and older readers of VTK expect `TIME`. Simulations also use the other names.
+/// Names of the field that contains the time of a file, in order of preference. VTK writes
+/// `TimeValue`, older readers of VTK expect `TIME`, and simulations also use the other names.
 pub const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
 
 /// Name of a colour whose components are separate columns.
@@ -141,22 +141,22 @@ fn percent_code(bytes: &[u8]) -> Option<u8> {
     u8::from_str_radix(std::str::from_utf8(digits).ok()?, 16).ok()
 }
 
-/// Unique names of attributes in a file. Each name is converted by `spelled`. Underscores are
-/// appended while the name is in `taken` or already used.
+/// Unique names of attributes in a file. `convert` converts each name to a name that the format
+/// supports. Underscores are appended while the name is in `taken` or already used.
 pub fn unique_names<'a>(
     names: impl IntoIterator<Item = &'a str>,
     taken: &[&str],
-    spelled: impl Fn(&str) -> String,
+    convert: impl Fn(&str) -> String,
 ) -> Vec<String> {
-    let mut given: Vec<String> = Vec::new();
+    let mut used: Vec<String> = Vec::new();
     for name in names {
-        let mut name = spelled(name);
-        while taken.contains(&&*name) || given.contains(&name) {
+        let mut name = convert(name);
+        while taken.contains(&&*name) || used.contains(&name) {
             name.push('_');
         }
-        given.push(name);
+        used.push(name);
     }
-    given
+    used
 }
 
 /// Finds the position among the columns called `names`, and then all other quantities in order.
@@ -273,8 +273,8 @@ fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>
 
 /// The name of a position column that appears twice, as in `x,y,z,x,y,z`.
 pub fn repeated_position(names: &[String]) -> Option<&str> {
-    let mut seen = HashSet::new();
-    let once: Vec<String> = names.iter().filter(|name| seen.insert(*name)).cloned().collect();
+    let mut distinct = HashSet::new();
+    let once: Vec<String> = names.iter().filter(|name| distinct.insert(*name)).cloned().collect();
     if once.len() == names.len() || quantities(names).is_some() {
         return None;
     }

@@ -15,7 +15,7 @@ use super::cursor::Cursor;
 use super::fields::{Arrangement, Axes, ColumnIndex, LocatedQuantity, NamedArray, arrange, shown};
 use super::{ParticleFile, ReadFault, malformed};
 
-/// Name of a field or array with positions.
+/// Name that the readers give to the positions in an array without a known name.
 pub(super) const POSITION: &str = "pos";
 /// Description, for messages, of the elements of a structured array.
 const STRUCTURE: &str = "of a structure";
@@ -105,7 +105,8 @@ impl NpyHeader {
             1 => cursor.u16("the header's length")?.into(),
             2 | 3 => cursor.u32("the header's length")?.into(),
             _ => {
-                let what = format!("version {version} of .npy; versions 1 to 3 are supported");
+                let what =
+                    format!("version {version} of .npy is not supported, only versions 1 to 3");
                 return Err(ReadFault::Unsupported(what));
             }
         };
@@ -176,19 +177,19 @@ impl NpyHeader {
     pub fn expect_position(&self, field: usize) -> Result<(), ReadFault> {
         match self.members.get(field).map(|member| member.scalar) {
             Some(Scalar::F16 | Scalar::F32 | Scalar::F64) => Ok(()),
-            _ => Err(self.no_numbers()),
+            _ => Err(self.unsupported_elements()),
         }
     }
 
     /// The error for elements that cannot be positions, with a suggestion.
-    fn no_numbers(&self) -> ReadFault {
+    fn unsupported_elements(&self) -> ReadFault {
         ReadFault::Unsupported(match self.is_pickled() {
             true => "pickled Python objects are not supported; save an array of numbers with \
                      shape (N, 3)"
                 .to_owned(),
             false if self.descr == STRUCTURE => {
-                "nested structures and objects are not supported; save an array \
-                               of numbers with shape (N, 3)"
+                "nested structures and objects are not supported; save an array of numbers with \
+                 shape (N, 3)"
                     .to_owned()
             }
             false => format!(
@@ -202,7 +203,7 @@ impl NpyHeader {
     /// The error if the array contains no positions, with a suggestion.
     fn no_position(&self) -> ReadFault {
         let remedy = match self.shape[..] {
-            _ if !self.is_numeric() => return self.no_numbers(),
+            _ if !self.is_numeric() => return self.unsupported_elements(),
             _ if self.is_structured() => {
                 let fields = self.fields("").into_iter().take(20);
                 let fields: Vec<_> =
@@ -259,17 +260,18 @@ impl NpyHeader {
             Axes::Components => (1, 0..1, 0),
             Axes::Frames => (1, 2..sizes.len(), frame as usize * strides[0]),
         };
-        let (mut offset, mut left) = (at + member.offset as usize + frame, component);
+        let (mut offset, mut rest) = (at + member.offset as usize + frame, component);
         for axis in components.rev() {
-            offset += left % sizes[axis] * strides[axis];
-            left /= sizes[axis];
+            offset += rest % sizes[axis] * strides[axis];
+            rest /= sizes[axis];
         }
         Column { offset, stride: strides[rows], scalar: member.scalar, endian: member.endian }
     }
 
     /// Distances, in bytes, between neighbouring numbers along each axis.
     fn strides(&self, member: &StructMember) -> Vec<usize> {
-        fn running(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
+        /// The strides of an array without gaps, whose elements have `bytes` bytes.
+        fn contiguous(bytes: u64, sizes: &[u64], fortran: bool) -> Vec<usize> {
             let mut strides = vec![0; sizes.len()];
             let mut next = bytes as usize;
             let mut place = |axis: usize| {
@@ -282,8 +284,8 @@ impl NpyHeader {
             }
             strides
         }
-        let mut strides = running(self.element_bytes, &self.shape, self.fortran);
-        strides.extend(running(member.scalar.size() as u64, &member.shape, false));
+        let mut strides = contiguous(self.element_bytes, &self.shape, self.fortran);
+        strides.extend(contiguous(member.scalar.size() as u64, &member.shape, false));
         strides
     }
 }

@@ -48,16 +48,16 @@ impl ParseNumber for f64 {
 /// nearest f64 (Clinger, "How to Read Floating Point Numbers Accurately", 1990).
 fn short(word: &[u8]) -> Option<f64> {
     /// Maximum number of digits. The integer that these digits form is less than 2^53.
-    const MOST: usize = 15;
+    const MAX_DIGITS: usize = 15;
     /// Maximum number of characters besides the digits: a sign, a point, and an exponent (`e`, a
     /// sign and two digits).
-    const BESIDE: usize = 6;
+    const MAX_OTHER_CHARACTERS: usize = 6;
     /// Powers of ten that f64 represents exactly. 10^22 is the greatest.
     const POWERS: [f64; 23] = [
         1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16,
         1e17, 1e18, 1e19, 1e20, 1e21, 1e22,
     ];
-    if word.len() > MOST + BESIDE {
+    if word.len() > MAX_DIGITS + MAX_OTHER_CHARACTERS {
         return None;
     }
     let (negative, rest) = match word {
@@ -67,7 +67,7 @@ fn short(word: &[u8]) -> Option<f64> {
     let (mut whole, mut digits, mut fraction, mut exponent) = (0_u64, 0, None, 0);
     for (at, &byte) in rest.iter().enumerate() {
         match byte {
-            b'0'..=b'9' if digits < MOST => {
+            b'0'..=b'9' if digits < MAX_DIGITS => {
                 whole = 10 * whole + u64::from(byte - b'0');
                 digits += 1;
             }
@@ -82,8 +82,8 @@ fn short(word: &[u8]) -> Option<f64> {
     if digits == 0 {
         return None;
     }
-    let behind_point = fraction.map_or(0, |before| digits - before);
-    let power = exponent - behind_point as i32;
+    let digits_after_point = fraction.map_or(0, |before| digits - before);
+    let power = exponent - digits_after_point as i32;
     let factor = *POWERS.get(power.unsigned_abs() as usize)?;
     let number = if power < 0 { whole as f64 / factor } else { whole as f64 * factor };
     Some(if negative { -number } else { number })
@@ -160,7 +160,8 @@ fn not_finite(word: &[u8]) -> Option<f64> {
     match &name[..end] {
         b"#INF" => Some(infinity),
         b"#QNAN" | b"#SNAN" | b"#IND" | b"#NAN" => Some(f64::NAN),
-        // Some rounded names may stand for NaN or infinity. They are read as NaN.
+        // Rounded names of NaN. Some of them, such as `#IO` and `#J`, may also stand for infinity,
+        // but are read as NaN.
         b"#QNB" | b"#SNB" | b"#QO" | b"#SO" | b"#IO" | b"#R" | b"#T" | b"#J" | b"$" => {
             Some(f64::NAN)
         }

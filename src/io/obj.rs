@@ -94,7 +94,7 @@ fn put(out: &mut Vec<u8>, line: fmt::Arguments) {
 /// undefined vertex, and [`ReadFault::Unsupported`] for more vertices than a mesh can have.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
-    let mut reading = ObjMesh { numbered_alike: true, ..ObjMesh::default() };
+    let mut reading = ObjMesh { normals_match: true, ..ObjMesh::default() };
     loop {
         scan.skip_blanks();
         let at = scan.at();
@@ -129,7 +129,7 @@ struct ObjMesh {
     normals: Vec<[f32; 3]>,
     triangles: Vec<[u32; 3]>,
     /// Whether the normal of every corner so far has the same number as the corner's vertex.
-    numbered_alike: bool,
+    normals_match: bool,
     corners: Vec<u32>,
 }
 
@@ -167,18 +167,18 @@ impl ObjMesh {
         let vertex = resolve(parts.next().unwrap_or_default(), "vertex", self.positions.len())?;
         let normal =
             parts.nth(1).map(|part| resolve(part, "normal", self.normals.len())).transpose()?;
-        self.numbered_alike &= normal == Some(vertex);
+        self.normals_match &= normal == Some(vertex);
         Ok(vertex)
     }
 
     fn into_mesh(self) -> Mesh {
-        let own = self.numbered_alike
+        let has_normals = self.normals_match
             && !self.normals.is_empty()
             && self.normals.len() == self.positions.len();
         Mesh {
             positions: self.positions,
             triangles: self.triangles,
-            normals: own.then_some(self.normals),
+            normals: has_normals.then_some(self.normals),
             attributes: Vec::new(),
         }
     }

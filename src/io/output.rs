@@ -165,7 +165,9 @@ impl MeshFormat {
             Self::Vtp | Self::Pvtp => {
                 vtp::arrays::attribute_names(attributes, has_normals, str::to_owned)
             }
-            Self::VtkHdf => vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::spelled),
+            Self::VtkHdf => {
+                vtp::arrays::attribute_names(attributes, has_normals, vtkhdf::with_underscores)
+            }
             Self::BgeoSc => houdini::attribute_names(attributes, has_normals),
             Self::Abc(_) => alembic::attribute_names(attributes, has_normals),
             Self::Vdb { .. } => vdb::attribute_names(attributes),
@@ -173,10 +175,10 @@ impl MeshFormat {
             Self::Glb(_) => return glb::renamed(attributes),
             Self::Obj | Self::Stl => return Vec::new(),
         };
-        let is_usual =
+        let is_conventional =
             |name: &str| matches!(self, Self::Vdb { .. }) && vdb::HOUDINI_NAMES.contains(&name);
         let both = attributes.iter().zip(names);
-        let both = both.filter(|(info, name)| info.name != *name && !is_usual(name));
+        let both = both.filter(|(info, name)| info.name != *name && !is_conventional(name));
         both.map(|(info, name)| [info.name.clone(), name]).collect()
     }
 
@@ -231,7 +233,7 @@ impl MeshFormat {
     }
 
     /// Maximum number of vertices, and maximum number of triangles, in a file of this format.
-    fn most(self) -> [u64; 2] {
+    fn max_counts(self) -> [u64; 2] {
         const I32: u64 = i32::MAX as u64;
         const I64: u64 = i64::MAX as u64;
         const U32: u64 = u32::MAX as u64;
@@ -256,8 +258,8 @@ impl MeshFormat {
         }
     }
 
-    fn can_number(self, vertices: u64, triangles: u64) -> bool {
-        let [most_vertices, most_triangles] = self.most();
+    fn can_store_counts(self, vertices: u64, triangles: u64) -> bool {
+        let [most_vertices, most_triangles] = self.max_counts();
         vertices <= most_vertices && triangles <= most_triangles
     }
 
@@ -267,15 +269,16 @@ impl MeshFormat {
     /// [`io::ErrorKind::InvalidInput`] if it cannot. The message states the limit, and lists the
     /// formats that can store the mesh.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
-        if self.can_number(vertices, triangles) {
+        if self.can_store_counts(vertices, triangles) {
             return Ok(());
         }
-        let limits = self.most().into_iter().zip(["vertices", "triangles"]);
+        let limits = self.max_counts().into_iter().zip(["vertices", "triangles"]);
         let limits: Vec<_> = limits
             .filter(|(most, _)| *most < u64::MAX)
             .map(|(most, what)| format!("{most} {what}"))
             .collect();
-        let able = Self::ALL.into_iter().filter(|format| format.can_number(vertices, triangles));
+        let able =
+            Self::ALL.into_iter().filter(|format| format.can_store_counts(vertices, triangles));
         let able: Vec<_> = able.map(|format| format.to_string()).collect();
         let what = format!(
             "{vertices} vertices and {triangles} triangles are too many for {self}, which \
@@ -384,13 +387,13 @@ impl OpenedMesh {
 
 /// Memory, in bytes per byte of a binary mesh file, that the contents of the file and the resulting
 /// mesh need together.
-const BYTES_A_BYTE: u64 = 3;
+const MEMORY_PER_FILE_BYTE: u64 = 3;
 
 /// Opens the mesh at `path`. A .ply file that this library wrote is streamed if the whole mesh
 /// would need more than `memory` bytes.
 pub fn open_mesh(path: &Path, memory: u64) -> Result<OpenedMesh, ReadError> {
-    let large =
-        std::fs::metadata(path).is_ok_and(|file| file.len().saturating_mul(BYTES_A_BYTE) > memory);
+    let large = std::fs::metadata(path)
+        .is_ok_and(|file| file.len().saturating_mul(MEMORY_PER_FILE_BYTE) > memory);
     if large && MeshFormat::of(path) == Some(MeshFormat::Ply) {
         let bytes = open_bytes(path)?;
         if let Bytes::File(_) = &bytes {

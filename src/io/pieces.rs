@@ -98,8 +98,8 @@ impl Pieces {
         let mut all = Self { infos, labels, ..Self::default() };
         for (index, part) in parts.into_iter().enumerate().filter(|(_, part)| !part.is_empty()) {
             let order = same_attributes(&all.infos, &part.infos).map_err(|fault| (index, fault))?;
-            for (info, &own) in all.infos.iter_mut().zip(&order) {
-                info.kind = info.kind.together(part.infos[own].kind);
+            for (info, &number) in all.infos.iter_mut().zip(&order) {
+                info.kind = info.kind.together(part.infos[number].kind);
             }
             let (first, piece) = (all.len, all.stores.len());
             let moved =
@@ -107,14 +107,14 @@ impl Pieces {
             all.spans.extend(part.spans.into_iter().map(moved));
             let sources = part.sources.iter();
             all.sources.extend(
-                sources.map(|own| order.iter().map(|&number| own[number]).collect::<Vec<_>>()),
+                sources.map(|old| order.iter().map(|&number| old[number]).collect::<Vec<_>>()),
             );
             all.of_input.resize(piece + part.stores.len(), index);
             all.stores.extend(part.stores);
             all.len += part.len;
         }
-        let shelf = Arc::default();
-        all.stores.iter_mut().for_each(|store| store.share(&shelf));
+        let pool = Arc::default();
+        all.stores.iter_mut().for_each(|store| store.share(&pool));
         Ok(all)
     }
 
@@ -130,7 +130,7 @@ impl Pieces {
 
     /// Removes the particles whose scalar attribute number `flags` is nonzero, and then removes
     /// this attribute. Returns the number of removed particles.
-    pub(super) fn leave_out(&mut self, flags: usize) -> usize {
+    pub(super) fn remove_flagged(&mut self, flags: usize) -> usize {
         let (mut spans, mut len) = (Vec::new(), 0);
         let mut values = vec![0.0; FLAGS];
         self.each_span(0..self.len, |span, count, _| {
@@ -233,9 +233,9 @@ impl Pieces {
         self.stores.iter().map(ColumnStore::scratch_bytes).sum()
     }
 
-    /// Whether attribute number `index` is a colour that `piece` stores as integers, and another
-    /// piece as fractions. The integers are from 0 to 255.
-    fn is_byte_among_shares(&self, piece: usize, index: usize) -> bool {
+    /// Whether attribute number `index` is a colour that `piece` stores as integers from 0 to 255,
+    /// while another piece stores it as fractions. The integers are then divided by 255.
+    fn is_scaled_to_fractions(&self, piece: usize, index: usize) -> bool {
         let Source::Attribute(number) = self.sources[piece][index] else { return false };
         let stored = &self.stores[piece].attributes()[number];
         self.infos[index].kind == AttributeKind::Colour
@@ -249,7 +249,7 @@ impl Pieces {
             Source::Attribute(number) => self.stores[piece].attribute(number, row, out),
             Source::Constant(value) => out.fill(value),
         }
-        if self.is_byte_among_shares(piece, index) {
+        if self.is_scaled_to_fractions(piece, index) {
             out.iter_mut().for_each(|value| *value /= 255.0);
         }
     }
@@ -305,10 +305,10 @@ pub(super) fn join_files(
     let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
     let opened = || files.iter().flatten();
     let blocks = opened().flat_map(|file| file.left_out.iter().cloned());
-    let mut named = HashSet::new();
+    let mut names = HashSet::new();
     let left_out = blocks
         .filter(|part| !matches!(part, UnreadPart::Attribute(_)))
-        .filter(|part| part.attribute().is_none_or(|name| named.insert(name.to_owned())))
+        .filter(|part| part.attribute().is_none_or(|name| names.insert(name.to_owned())))
         .chain(partial)
         .collect::<Vec<_>>();
     let time = opened().find_map(|file| file.time);
@@ -366,17 +366,17 @@ fn keep_shared_attributes(files: &mut [Option<ParticleFile>]) -> Vec<AttributeIn
         }
     }
     let key = |info: &AttributeInfo| (info.name.clone(), info.components);
-    let mut having = HashMap::new();
+    let mut counts = HashMap::new();
     for info in filled().flat_map(|file| file.particles.attributes()) {
-        *having.entry(key(info)).or_insert(0) += 1;
+        *counts.entry(key(info)).or_insert(0) += 1;
     }
     let all = filled().count();
-    let lacks = |info: &&AttributeInfo| having[&key(info)] < all;
+    let lacks = |info: &&AttributeInfo| counts[&key(info)] < all;
     partial.extend(filled().flat_map(|f| f.particles.attributes()).filter(lacks).cloned());
-    let mut seen = HashSet::new();
-    partial.retain(|info| seen.insert(key(info)));
+    let mut partial_keys = HashSet::new();
+    partial.retain(|info| partial_keys.insert(key(info)));
     for file in files.iter_mut().flatten() {
-        file.particles.retain_attributes(|info| !seen.contains(&key(info)));
+        file.particles.retain_attributes(|info| !partial_keys.contains(&key(info)));
     }
     partial
 }
@@ -387,20 +387,20 @@ fn same(a: &AttributeInfo, b: &AttributeInfo) -> bool {
     (&a.name, a.components) == (&b.name, b.components)
 }
 
-/// For each attribute of `infos`, the index of the same attribute in `own`.
+/// For each attribute of `infos`, the index of the same attribute in `of_piece`.
 fn same_attributes(
     infos: &[AttributeInfo],
-    own: &[AttributeInfo],
+    of_piece: &[AttributeInfo],
 ) -> Result<Vec<usize>, ReadFault> {
     let differs = |what: &str, info: &AttributeInfo| {
         let AttributeInfo { name, components, .. } = info;
         malformed(0, format!("has {what} {name} (components: {components}), unlike earlier pieces"))
     };
-    if let Some(extra) = own.iter().find(|info| !infos.iter().any(|other| same(info, other))) {
+    if let Some(extra) = of_piece.iter().find(|info| !infos.iter().any(|other| same(info, other))) {
         return Err(differs("an attribute", extra));
     }
     let number = |info: &AttributeInfo| {
-        let found = own.iter().position(|own| same(own, info));
+        let found = of_piece.iter().position(|other| same(other, info));
         found.ok_or_else(|| differs("no attribute", info))
     };
     infos.iter().map(number).collect()
@@ -472,7 +472,7 @@ impl Particles for Pieces {
                 }
                 Source::Constant(value) => out.fill(value.into()),
             }
-            if self.is_byte_among_shares(span.piece, index) {
+            if self.is_scaled_to_fractions(span.piece, index) {
                 out.iter_mut().for_each(|value| *value /= 255.0);
             }
         });

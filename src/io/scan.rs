@@ -11,8 +11,8 @@ use super::{ReadFault, malformed};
 const LONGEST_LINE: usize = 64 << 10;
 /// Number of bytes that are first searched for the end of a line.
 const SHORT_LINE: usize = 1 << 8;
-/// Number of scanned bytes after which their memory is released.
-const PASSED: usize = 1 << 20;
+/// Number of bytes after which the memory of the scanned bytes is released.
+const RELEASE_STEP: usize = 1 << 20;
 
 /// The length of the byte order mark of UTF-8 at the start of `bytes`: 0 if there is none.
 pub fn mark_length(bytes: &[u8]) -> usize {
@@ -28,14 +28,14 @@ pub struct Scanner<'a> {
     /// The bytes, if their memory can be released.
     store: Option<Slice<'a>>,
     /// Start of the bytes whose memory has not been released.
-    held: usize,
+    unreleased_from: usize,
 }
 
 impl<'a> Scanner<'a> {
     /// Creates a scanner at byte `at` of `bytes`, or at their end if `at` is beyond it.
     pub fn new(bytes: &'a [u8], at: usize) -> Self {
         let at = at.min(bytes.len());
-        Self { bytes, at, store: None, held: at }
+        Self { bytes, at, store: None, unreleased_from: at }
     }
 
     /// Creates a scanner at byte `at` of `store` that releases the memory of bytes before its
@@ -50,13 +50,13 @@ impl<'a> Scanner<'a> {
         Self { store: Some(store), ..Self::new(&store.bytes()[..range.end], range.start) }
     }
 
-    fn pass(&mut self, count: usize) {
+    fn advance(&mut self, count: usize) {
         self.at += count;
         if let Some(store) = self.store
-            && self.at - self.held >= PASSED
+            && self.at - self.unreleased_from >= RELEASE_STEP
         {
-            store.release(self.held..self.at);
-            self.held = self.at;
+            store.release(self.unreleased_from..self.at);
+            self.unreleased_from = self.at;
         }
     }
 
@@ -89,7 +89,7 @@ impl<'a> Scanner<'a> {
     /// Skips the rest of this line and its line end. Returns false at the end of the file.
     pub fn skip_line(&mut self) -> bool {
         let rest = self.rest();
-        self.pass(rest.iter().position(|&b| b == b'\n').map_or(rest.len(), |end| end + 1));
+        self.advance(rest.iter().position(|&b| b == b'\n').map_or(rest.len(), |end| end + 1));
         !rest.is_empty()
     }
 
@@ -107,7 +107,7 @@ impl<'a> Scanner<'a> {
     pub fn word(&mut self) -> &'a [u8] {
         let rest = self.rest();
         let length = rest.iter().position(u8::is_ascii_whitespace).unwrap_or(rest.len());
-        self.pass(length);
+        self.advance(length);
         &rest[..length]
     }
 
@@ -137,12 +137,12 @@ impl<'a> Scanner<'a> {
 
     /// An error in the line that contains byte `at`.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
-        ReadFault::Line { line: 1 + ends(&self.bytes[..at]), what }
+        ReadFault::Line { line: 1 + count_line_ends(&self.bytes[..at]), what }
     }
 }
 
 /// The number of line ends in `text`.
-fn ends(text: &[u8]) -> u64 {
+fn count_line_ends(text: &[u8]) -> u64 {
     text.iter().filter(|&&b| b == b'\n').count() as u64
 }
 
@@ -234,8 +234,8 @@ impl<'a> Lines<'a> {
     /// [`ReadFault::Malformed`] for a line that is not text or is too long for a header, and the
     /// errors of [`ahead`](Self::ahead).
     pub fn line(&mut self) -> Result<Option<String>, ReadFault> {
-        for looked_at in [SHORT_LINE, LONGEST_LINE] {
-            let ahead = self.ahead(looked_at)?;
+        for limit in [SHORT_LINE, LONGEST_LINE] {
+            let ahead = self.ahead(limit)?;
             let length = match ahead.iter().position(|&byte| byte == b'\n') {
                 Some(end) => end + 1,
                 None if self.at + ahead.len() == self.bytes.len() => ahead.len(),
@@ -255,8 +255,9 @@ impl<'a> Lines<'a> {
     /// returns the read error instead.
     pub fn fault(&self, at: usize, what: String) -> ReadFault {
         let pieces = (0..at).step_by(LONGEST_LINE).map(|start| start..at.min(start + LONGEST_LINE));
-        let counted =
-            pieces.map(|piece| Ok(ends(&self.bytes.read(piece)?))).sum::<Result<u64, ReadFault>>();
+        let counted = pieces
+            .map(|piece| Ok(count_line_ends(&self.bytes.read(piece)?)))
+            .sum::<Result<u64, ReadFault>>();
         counted.map_or_else(|fault| fault, |ends| ReadFault::Line { line: 1 + ends, what })
     }
 }

@@ -16,7 +16,8 @@ use serde::Deserialize;
 use crate::grid::Walls;
 use crate::grid::units::positive_length;
 
-/// Maximum size of a scene file in bytes. Larger .json files may be results, and are skipped.
+/// Maximum size of a scene file in bytes. Larger files are skipped, because they probably contain
+/// results instead of a scene.
 const LARGEST: u64 = 16 << 20;
 
 /// Facts about the particles and their tank that a scene contains.
@@ -31,15 +32,15 @@ struct SceneFacts {
 ///
 /// Reads the .json and .xml files in the folder of `path`, or, if none of them is a scene, those in
 /// the parent folder. Invalid files and files with other contents are skipped.
-pub fn spacing_beside(path: &Path) -> Option<(f64, PathBuf)> {
-    let scenes = scenes_beside(path).into_iter();
+pub fn spacing_from_scene(path: &Path) -> Option<(f64, PathBuf)> {
+    let scenes = scenes_near(path).into_iter();
     agreed(scenes.map(|(scene, path)| (scene.spacing, path)))
 }
 
 /// The walls of the tank around the particles at `path`, and the path of a scene file that contains
 /// them. `None` if scene files contain different spacings or different tanks.
-pub fn tank_beside(path: &Path) -> Option<(Walls, PathBuf)> {
-    let scenes = scenes_beside(path);
+pub fn tank_from_scene(path: &Path) -> Option<(Walls, PathBuf)> {
+    let scenes = scenes_near(path);
     agreed(scenes.iter().map(|(scene, path)| (scene.spacing, path)))?;
     let tanks = scenes.into_iter().filter_map(|(scene, path)| Some((scene.tank?, path)));
     agreed(tanks)
@@ -52,15 +53,15 @@ fn agreed<T: PartialEq, P>(mut values: impl Iterator<Item = (T, P)>) -> Option<(
 }
 
 /// The scenes in the folder of `path`, or, if there are none, those in the parent folder.
-fn scenes_beside(path: &Path) -> Vec<(SceneFacts, PathBuf)> {
+fn scenes_near(path: &Path) -> Vec<(SceneFacts, PathBuf)> {
     let folder =
         path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let scenes = scenes_in(folder);
-    if scenes.is_empty() { scenes_in(&above(folder)) } else { scenes }
+    if scenes.is_empty() { scenes_in(&parent_folder(folder)) } else { scenes }
 }
 
 /// The path of the parent folder, without `..` if possible.
-fn above(folder: &Path) -> PathBuf {
+fn parent_folder(folder: &Path) -> PathBuf {
     match (folder.components().next_back(), folder.parent()) {
         (Some(Component::Normal(_)), Some(parent)) if parent.as_os_str().is_empty() => ".".into(),
         (Some(Component::Normal(_)), Some(parent)) => parent.into(),
@@ -214,8 +215,11 @@ struct CaseBoxes {
     is_boundary: bool,
     /// Whether a command transforms boxes. If so, the walls of the tank are unknown.
     is_moved: bool,
+    /// Whether the reader is within a `boxfill` element.
     is_fill: bool,
+    /// The fill mode of the current box, see [`filled`].
     fill: String,
+    /// The lowest corner of the current box.
     lo: Option<[f64; 3]>,
     size: Option<[f64; 3]>,
     /// The volume of each box of boundary particles, and its filled faces as walls.
@@ -292,18 +296,18 @@ mod tests {
     fn scenes_that_disagree_give_no_spacing_and_no_tank() {
         let folder = tempfile::tempdir().unwrap();
         let frame = folder.path().join("frame_1.vtk");
-        // The spacing, and the top of the tank.
+        // Returns the spacing, and the top of the tank.
         let found_with = |name: &str, scene: Vec<u8>| {
             std::fs::write(folder.path().join(name), scene).unwrap();
-            let top = tank_beside(&frame).map(|(walls, _)| walls.0[1][1].unwrap());
-            (spacing_beside(&frame).map(|(spacing, _)| spacing), top)
+            let top = tank_from_scene(&frame).map(|(walls, _)| walls.0[1][1].unwrap());
+            (spacing_from_scene(&frame).map(|(spacing, _)| spacing), top)
         };
         let with = |old: &str, new: &str| {
             String::from_utf8(body("")).unwrap().replace(old, new).into_bytes()
         };
         assert_eq!(found_with("c.json", body("")), (Some(0.05), Some(3.0)));
         assert_eq!(found_with("results.json", b"{}".into()), (Some(0.05), Some(3.0)));
-        // A scene of other particles, without a tank.
+        // A scene with another particle radius and without a tank.
         let other = br#"{"Configuration": {"particleRadius": 0.1}}"#;
         assert_eq!(found_with("d.json", other.into()), (None, None));
         assert_eq!(found_with("d.json", b"{}".into()), (Some(0.05), Some(3.0)));

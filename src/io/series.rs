@@ -151,7 +151,7 @@ impl Series {
                 vec![list]
             }
             // The stage comes last, because it refers to the manifest.
-            MeshFormat::Usdc(_) => vec![list, self.clips(), self.stage_path()],
+            MeshFormat::Usdc(_) => vec![list, self.manifest_path(), self.stage_path()],
         }
     }
 
@@ -160,7 +160,7 @@ impl Series {
     }
 
     /// The path of the manifest, a USD layer that declares the attributes of the clips.
-    fn clips(&self) -> PathBuf {
+    fn manifest_path(&self) -> PathBuf {
         self.simulation.with_extension("manifest.usda")
     }
 
@@ -168,8 +168,8 @@ impl Series {
         self.simulation.with_extension("usda")
     }
 
-    /// A message that says why other programs could not play the lists if these were written to
-    /// this path. `None` if programs could play the lists.
+    /// The reason why other programs could not play the lists if the lists were written to this
+    /// path. `None` if other programs could play them.
     #[must_use]
     pub fn path_fault(&self) -> Option<String> {
         let MeshFormat::Usdc(_) = self.format else { return None };
@@ -221,7 +221,7 @@ impl Series {
             "json" => self.listing(shown),
             "pvd" => pvd(shown),
             "series" => file_series(shown),
-            _ if path == self.clips() => self.manifest(shown).text(),
+            _ if path == self.manifest_path() => self.manifest(shown).text(),
             _ => self.stage(shown, codes_per_second),
         }
     }
@@ -249,7 +249,7 @@ impl Series {
                 attributes.push(attribute.clone());
             }
         }
-        let path = self.clips();
+        let path = self.manifest_path();
         Manifest {
             path: path
                 .file_name()

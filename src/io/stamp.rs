@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stamp_changes_when_an_older_piece_of_equal_size_replaces_one() {
+    fn a_stamp_depends_on_the_time_of_every_piece() {
         let folder = tempfile::tempdir().unwrap();
         let stamp = |of_second: u64| {
             write(folder.path().join("Part_p01_0003.bi4"), b"piece", of_second);

@@ -153,15 +153,15 @@ fn corners(record: &[u8; RECORD]) -> [[f64; 3]; 3] {
 fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
     let mut scan = Scanner::new(bytes, 0);
     let mut corners = Vec::new();
-    let mut inside = TextContext::Nothing;
+    let mut context = TextContext::Outside;
     loop {
         scan.skip_whitespace();
         let at = scan.at();
         let word = scan.word();
-        inside = match (inside, &word.to_ascii_lowercase()[..]) {
-            (TextContext::Nothing, b"") => return Ok(corners),
-            (TextContext::Nothing, b"solid") => TextContext::Solid,
-            (TextContext::Solid, b"endsolid") => TextContext::Nothing,
+        context = match (context, &word.to_ascii_lowercase()[..]) {
+            (TextContext::Outside, b"") => return Ok(corners),
+            (TextContext::Outside, b"solid") => TextContext::Solid,
+            (TextContext::Solid, b"endsolid") => TextContext::Outside,
             (TextContext::Solid, b"facet" | b"endfacet") => TextContext::Solid,
             (TextContext::Solid, b"outer") => TextContext::Loop { first: corners.len() },
             (TextContext::Loop { first }, b"endloop") if corners.len() == first + 3 => {
@@ -169,11 +169,11 @@ fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
             }
             (TextContext::Loop { first }, b"vertex") if corners.len() < first + 3 => {
                 corners.push(vector(&mut scan)?);
-                inside
+                context
             }
             _ => {
                 let shown = String::from_utf8_lossy(&word[..word.len().min(40)]);
-                let expected = inside.expected();
+                let expected = context.expected();
                 return Err(scan.fault(at, format!("expected {expected}, found {shown:?}")));
             }
         };
@@ -181,10 +181,10 @@ fn text(bytes: &[u8]) -> Result<Vec<[f64; 3]>, ReadFault> {
     }
 }
 
-/// The statement that contains the current line of a text file.
+/// The statement that contains the current line of a text file. `Outside` means none.
 #[derive(Clone, Copy)]
 enum TextContext {
-    Nothing,
+    Outside,
     Solid,
     /// In a triangle. `first` is the number of its first corner.
     Loop {
@@ -195,7 +195,7 @@ enum TextContext {
 impl TextContext {
     fn expected(self) -> &'static str {
         match self {
-            Self::Nothing => "the start of a solid",
+            Self::Outside => "the start of a solid",
             Self::Solid => "a facet or the end of the solid",
             Self::Loop { .. } => "three vertices and the end of the loop",
         }

@@ -109,15 +109,15 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
             }
             None => line.as_str(),
         };
-        let said = match record {
+        let result = match record {
             "VARIABLES" => {
                 names.extend(variables(rest.strip_prefix('=').unwrap_or(rest)));
                 Ok(())
             }
-            "ZONE" => zone.say(rest),
+            "ZONE" => zone.parse_header_line(rest),
             _ => Ok(()),
         };
-        said.map_err(|what| lines.fault(what))?;
+        result.map_err(|what| lines.fault(what))?;
     };
     let shown = names.join(", ");
     let repeated = repeated_position(&names).map(str::to_owned);
@@ -226,7 +226,7 @@ fn variables(text: &str) -> Vec<String> {
 
 impl Zone {
     /// Parses a line of the zone's header.
-    fn say(&mut self, text: &str) -> Result<(), String> {
+    fn parse_header_line(&mut self, text: &str) -> Result<(), String> {
         let mut rest = text;
         loop {
             rest = rest.trim_start_matches([' ', '\t', ',']);
@@ -243,12 +243,12 @@ impl Zone {
                 Some('(') => after[1..].split_once(')').unwrap_or((&after[1..], "")),
                 _ => after.split_at(after.find([' ', '\t', ',']).unwrap_or(after.len())),
             };
-            self.take(&key.trim().to_ascii_uppercase(), value)?;
+            self.set_property(&key.trim().to_ascii_uppercase(), value)?;
             rest = after;
         }
     }
 
-    fn take(&mut self, key: &str, value: &str) -> Result<(), String> {
+    fn set_property(&mut self, key: &str, value: &str) -> Result<(), String> {
         let upper = value.to_ascii_uppercase();
         match (key, &*upper) {
             ("I" | "J" | "K", _) => {
@@ -328,17 +328,17 @@ fn decode(
             }
         }
     };
-    let mut passed = lines_above;
+    let mut lines_decoded = lines_above;
     let mut numbers = UnpackBuffer::new(unpacking);
     let mut other_zone = None;
-    /// First words of records that may precede another zone.
-    const BETWEEN: [&[u8]; 6] =
+    /// First words of the records with which another zone can begin.
+    const ZONE_STARTS: [&[u8]; 6] =
         [b"ZONE", b"TITLE", b"TITLE=", b"VARIABLES", b"VARIABLES=", b"DATASETAUXDATA"];
     decode_windows(source, range, is_end, decode, |piece| {
         if let Err((line, word)) = &piece
-            && BETWEEN.contains(&&*word.to_ascii_uppercase())
+            && ZONE_STARTS.contains(&&*word.to_ascii_uppercase())
         {
-            other_zone = Some(passed + line);
+            other_zone = Some(lines_decoded + line);
             return Ok(ControlFlow::Break(()));
         }
         let (piece, lines) = piece.map_err(|(line, word)| {
@@ -348,9 +348,9 @@ fn decode(
                 }
                 _ => format!("{} is not a number", excerpt(&word)),
             };
-            ReadFault::Line { line: passed + line, what }
+            ReadFault::Line { line: lines_decoded + line, what }
         })?;
-        passed += lines;
+        lines_decoded += lines;
         numbers.push(&piece)?;
         Ok(ControlFlow::Continue(()))
     })?;

@@ -25,7 +25,7 @@ const UTF16: [([u8; 2], Endian); 2] = [([0xff, 0xfe], Endian::Little), ([0xfe, 0
 /// Minimum size of a piece in bytes.
 const PIECE: usize = 1 << 16;
 /// Number of bytes that are searched at once for the end of a piece.
-const LOOKED_AT: usize = 1 << 12;
+const SEARCH_STEP: usize = 1 << 12;
 /// Number of pieces per thread that are decoded before their memory is released.
 const PIECES: usize = 4;
 
@@ -63,8 +63,8 @@ pub(super) fn decode_windows<T: Send>(
 ) -> Result<(), ReadFault> {
     let end = range.end;
     let end_from = |least: usize| {
-        (least..end).step_by(LOOKED_AT).find_map(|from| {
-            let window = from..(from + LOOKED_AT).min(end);
+        (least..end).step_by(SEARCH_STEP).find_map(|from| {
+            let window = from..(from + SEARCH_STEP).min(end);
             let found = source.with(window, |bytes| bytes.iter().position(|&b| is_end(b)));
             found.map(|found| from + found + 1)
         })
@@ -160,8 +160,8 @@ pub(super) fn utf8(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFaul
         units.extend(view.read(at..end)?.as_chunks().0.iter().map(|&bytes| unit(bytes)));
         // If the window ends with the first half of a surrogate pair, this half is decoded with the
         // next window.
-        let waits = end < view.len() && matches!(units.last(), Some(0xd800..0xdc00));
-        let half = if waits { units.pop() } else { None };
+        let is_split = end < view.len() && matches!(units.last(), Some(0xd800..0xdc00));
+        let half = if is_split { units.pop() } else { None };
         let decoded: String = char::decode_utf16(units.drain(..))
             .map(|character| character.unwrap_or(char::REPLACEMENT_CHARACTER))
             .collect();
@@ -187,7 +187,8 @@ pub(super) struct TextLines<'a> {
     /// The end of the text, without the whitespace at its end (at most `LONGEST_LINE` bytes of it).
     end: usize,
     at: usize,
-    passed: u64,
+    /// Number of lines above the position.
+    lines_above: u64,
     window: Cow<'a, [u8]>,
     window_at: usize,
 }
@@ -199,23 +200,23 @@ impl<'a> TextLines<'a> {
         let at = if marked { UTF8.len() } else { 0 };
         let tail = view.len().saturating_sub(LONGEST_LINE).max(at);
         let end = tail + view.read(tail..view.len())?.trim_ascii_end().len();
-        Ok(Self { view, end, at, passed: 0, window: Cow::Borrowed(&[]), window_at: at })
+        Ok(Self { view, end, at, lines_above: 0, window: Cow::Borrowed(&[]), window_at: at })
     }
 
     /// Creates a reader at the line that starts at `place`.
     pub fn at(view: ByteView<'a>, place: LinePlace) -> Result<Self, ReadFault> {
         let LinePlace { at, lines_above } = place;
-        Ok(Self { at, passed: lines_above, window_at: at, ..Self::new(view)? })
+        Ok(Self { at, lines_above, window_at: at, ..Self::new(view)? })
     }
 
     /// The place where the next line starts.
     pub fn place(&self) -> LinePlace {
-        LinePlace { at: self.at, lines_above: self.passed }
+        LinePlace { at: self.at, lines_above: self.lines_above }
     }
 
     /// An error in the line that was read last.
     pub fn fault(&self, what: impl Into<String>) -> ReadFault {
-        ReadFault::Line { line: self.passed.max(1), what: what.into() }
+        ReadFault::Line { line: self.lines_above.max(1), what: what.into() }
     }
 
     fn ahead(&mut self) -> Result<&[u8], ReadFault> {
@@ -243,14 +244,14 @@ impl<'a> TextLines<'a> {
             let is_last = ahead.is_empty();
             self.at += count + usize::from(end.is_some());
             if line.len() > LONGEST_LINE {
-                self.passed += 1;
+                self.lines_above += 1;
                 return Err(self.fault(format!("the line is longer than {LONGEST_LINE} bytes")));
             }
             if end.is_some() || is_last {
                 if self.at == start {
                     return Ok(None);
                 }
-                self.passed += 1;
+                self.lines_above += 1;
                 return Ok(Some(String::from_utf8_lossy(line.trim_ascii()).into_owned()));
             }
         }
@@ -282,7 +283,7 @@ impl<'a> TextLines<'a> {
             }
             self.at += passed;
         }
-        self.passed += skipped;
+        self.lines_above += skipped;
         Ok(skipped)
     }
 }

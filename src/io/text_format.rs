@@ -86,10 +86,10 @@ impl TextFormat {
 
     /// Skips one frame and returns its number. `before` is the number of frames above it. Returns
     /// `None` at the end of the text.
-    fn pass(self, lines: &mut TextLines, before: u64) -> Result<Option<u64>, ReadFault> {
+    fn skip_frame(self, lines: &mut TextLines, before: u64) -> Result<Option<u64>, ReadFault> {
         match self {
-            Self::Lammps => lammps::pass(lines),
-            Self::Xyz => Ok(xyz::pass(lines)?.then_some(before)),
+            Self::Lammps => lammps::skip_step(lines),
+            Self::Xyz => Ok(xyz::skip_frame(lines)?.then_some(before)),
             Self::Tecplot | Self::Raw | Self::Table => Ok(None),
         }
     }
@@ -101,7 +101,7 @@ struct Frames {
     format: TextFormat,
     /// Number and place of each frame, in file order.
     all: Vec<(u64, LinePlace)>,
-    /// The start of the invalid part of the text. `None` if the text is valid.
+    /// The start of the first invalid frame. `None` if all frames are valid.
     broken: Option<LinePlace>,
 }
 
@@ -113,7 +113,7 @@ impl Frames {
         let mut lines = TextLines::new(view)?;
         loop {
             let place = lines.place();
-            match format.pass(&mut lines, frames.all.len() as u64) {
+            match format.skip_frame(&mut lines, frames.all.len() as u64) {
                 Ok(Some(number)) => frames.all.push((number, place)),
                 Ok(None) => break,
                 Err(ReadFault::Line { .. } | ReadFault::Unsupported(_)) => {
@@ -132,12 +132,13 @@ impl Frames {
         self.all.iter().filter(|(number, _)| *number == step).count() > 1
     }
 
-    /// Returns the error of the invalid part of the text, if there is one.
+    /// Returns the error of the first invalid frame, if there is one.
     fn check(&self, view: ByteView) -> Result<(), ReadFault> {
         let Some(place) = self.broken else { return Ok(()) };
-        let passed = self.format.pass(&mut TextLines::at(view, place)?, self.all.len() as u64);
-        // If this part is valid now, the file has changed since it was scanned.
-        passed.and(Err(ReadFault::Changed))
+        let count = self.all.len() as u64;
+        let skipped = self.format.skip_frame(&mut TextLines::at(view, place)?, count);
+        // If this frame is valid now, the file has changed since it was scanned.
+        skipped.and(Err(ReadFault::Changed))
     }
 
     /// The numbers of the frames in ascending order. A number that occurs several times, for
@@ -263,7 +264,7 @@ pub fn read_particles(
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line in a format with several frames.
 pub fn steps(bytes: Bytes, hint: TextHint) -> Result<Vec<u64>, ReadFault> {
-    let bytes = decoded(bytes, hint, Unpacking::for_a_look())?;
+    let bytes = decoded(bytes, hint, Unpacking::for_inspection())?;
     let frames = Frames::of(bytes.view(), hint)?;
     frames.check(bytes.view())?;
     Ok(frames.numbers())

@@ -12,7 +12,7 @@ use super::series::SeriesFrame;
 
 /// Frames per second in USD and Alembic if the frame rate is neither given nor implied by the
 /// times. This is USD's default.
-pub(crate) const FRAMES_A_SECOND: f64 = 24.0;
+pub(crate) const FRAMES_PER_SECOND: f64 = 24.0;
 
 /// Largest difference, in frames, between the time of a frame and an evenly spaced time.
 ///
@@ -40,7 +40,7 @@ const DIVIDED: [f64; 5] = [24.0, 30.0, 48.0, 60.0, 120.0];
 /// If at least this many frames precede the last frame of a simulation, the last frame need not be
 /// a whole number of steps after them. Many programs also write the state at the end of the
 /// simulation, even if its time is not a multiple of the step.
-pub(crate) const REGULAR: usize = 4;
+pub(crate) const MIN_REGULAR_FRAMES: usize = 4;
 
 /// The time of a frame in the lists and archives of a simulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -50,7 +50,8 @@ pub(super) struct FrameTime {
     /// Time code of the frame.
     pub code: f64,
     /// Time in seconds in an archive. If the frame rate is known, this is the time code divided by
-    /// the frame rate.
+    /// the frame rate. Otherwise, it is the exact time of the frame, or, if the times are not used,
+    /// the frame number divided by [`FRAMES_PER_SECOND`].
     pub seconds: f64,
 }
 
@@ -100,7 +101,7 @@ impl fmt::Display for UnusedTimes {
             Some(fps) => write!(f, "the frame numbers divided by {fps} frames per second"),
             None => write!(
                 f,
-                "the frame numbers, at {FRAMES_A_SECOND} frames per second in stages and archives"
+                "the frame numbers, at {FRAMES_PER_SECOND} frames per second in stages and archives"
             ),
         }
     }
@@ -119,9 +120,9 @@ impl Timeline {
     /// Creates the timeline of frames that are sorted by number. `fps` is the frame rate in frames
     /// per second, if it is given.
     ///
-    /// If the times of the frames and their time codes are strictly increasing, the timeline uses
-    /// them. Otherwise, it uses the frame numbers. The time codes are strictly increasing in both
-    /// cases.
+    /// The timeline uses the times of the frames if all frames have a time, and if the times and
+    /// their time codes are strictly increasing. Otherwise, it uses the frame numbers. The time
+    /// codes are strictly increasing in both cases.
     pub fn of(frames: &[SeriesFrame], fps: Option<f64>) -> Self {
         Self::of_times(frames, fps).unwrap_or_else(|| Self::of_numbers(frames, fps))
     }
@@ -159,7 +160,7 @@ impl Timeline {
         }
         let numbers: Vec<i64> = frames.iter().map(|frame| frame.frame).collect();
         let rate = fps.or_else(|| implied_rate(&times, &numbers));
-        let codes_per_second = rate.unwrap_or(FRAMES_A_SECOND);
+        let codes_per_second = rate.unwrap_or(FRAMES_PER_SECOND);
         let codes = time_codes(&times, codes_per_second);
         if !is_increasing(&codes) {
             return None;
@@ -172,7 +173,7 @@ impl Timeline {
     }
 
     fn of_numbers(frames: &[SeriesFrame], fps: Option<f64>) -> Self {
-        let codes_per_second = fps.unwrap_or(FRAMES_A_SECOND);
+        let codes_per_second = fps.unwrap_or(FRAMES_PER_SECOND);
         let timed = |frame: &SeriesFrame| {
             let code = frame.frame as f64;
             FrameTime { time: code / fps.unwrap_or(1.0), code, seconds: code / codes_per_second }
@@ -213,9 +214,10 @@ fn time_codes(times: &[f64], codes_per_second: f64) -> Vec<f64> {
 ///
 /// Times are evenly spaced if they are proportional to the frame numbers, or if their differences
 /// are multiples of the smallest difference. Therefore, frames may be missing. If at least
-/// [`REGULAR`] frames precede the last frame, its time may be irregular.
+/// [`MIN_REGULAR_FRAMES`] frames precede the last frame, its time may be irregular.
 fn implied_rate(times: &[f64], numbers: &[i64]) -> Option<f64> {
-    let before_last = Some(times.len().saturating_sub(1)).filter(|&frames| frames >= REGULAR);
+    let before_last =
+        Some(times.len().saturating_sub(1)).filter(|&frames| frames >= MIN_REGULAR_FRAMES);
     [times.len()].into_iter().chain(before_last).find_map(|end| {
         let times = &times[..end];
         let steps = [steps_by_number(&numbers[..end]), steps_by_time(times)];
@@ -291,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn printed_single_precision_and_late_times_have_whole_codes() {
+    fn rounded_and_late_times_have_whole_time_codes() {
         let whole: Vec<f64> = (0..200).map(f64::from).collect();
         for rate in [10.0, 24.0, 25.0, 30.0, 60.0, 100.0, 24_000.0 / 1001.0] {
             assert_eq!(time_codes(&at_rate(rate, printed), rate), whole, "{rate}");
@@ -341,12 +343,12 @@ mod tests {
         }
         let late = at_rate(24.0, |time| if time > 0.0 { time + 0.0004 } else { time });
         (2..200).for_each(|end| assert_eq!(implied(&late[..end]), Some(24.0), "{end} frames"));
-        // The first frame need not be at time 0, and the last may be off the step.
+        // The first frame need not be at time 0, and the time of the last frame may be irregular.
         assert_eq!(implied(&[7.013, 7.053, 7.093, 7.133, 7.15]), Some(25.0));
     }
 
     #[test]
-    fn frame_numbers_reveal_the_rate_if_no_two_neighbours_exist() {
+    fn frame_numbers_imply_the_rate_if_no_two_frames_are_adjacent() {
         let times = [0.0, 0.500_047, 0.900_049];
         assert_eq!(implied_rate(&times, &[0, 5, 9]), Some(10.0));
         assert_eq!(implied(&times), None);
@@ -387,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_frame_without_a_later_time_is_named() {
+    fn the_first_frame_with_an_invalid_time_is_reported() {
         let unused = |times: &[Option<f64>]| {
             let frames: Vec<_> = (1..).zip(times.iter().copied()).map(frame).collect();
             let of_timeline =

@@ -31,7 +31,7 @@ pub(super) fn noted(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String
 /// The up axis that a mesh's file, or else a list next to it, records. `None` if neither records
 /// it.
 #[must_use]
-pub fn up_said(mesh: &Path) -> Option<UpAxis> {
+pub fn recorded_up(mesh: &Path) -> Option<UpAxis> {
     let noted = || {
         let mut begins = Vec::new();
         File::open(mesh).ok()?.take(SEARCHED).read_to_end(&mut begins).ok()?;

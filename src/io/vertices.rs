@@ -37,12 +37,12 @@ impl FileVertices {
         // The index may have changed, because attributes with the same name as an earlier one were
         // removed.
         let normals = normals.and_then(|name| normals_called(&name, &store));
-        whole(&store, normals, triangles)
+        make_mesh(&store, normals, triangles)
     }
 }
 
 /// Makes a mesh. Attribute number `normals` becomes the normals of the vertices.
-fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>) -> Mesh {
+fn make_mesh(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>) -> Mesh {
     let count = store.len();
     let mut positions = vec![[0.0; 3]; count];
     store.positions(0, &mut positions);
@@ -73,7 +73,7 @@ fn whole(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32; 3]>
 /// Makes a mesh from points and their attributes. The attribute `normals` becomes the normals.
 #[cfg(feature = "hdf5")]
 pub(super) fn mesh_of(points: &dyn Particles, normals: &str, triangles: Vec<[u32; 3]>) -> Mesh {
-    whole(points, normals_called(normals, points), triangles)
+    make_mesh(points, normals_called(normals, points), triangles)
 }
 
 /// The index of the attribute `name`, if it has three components, as normals must have.
@@ -139,7 +139,10 @@ impl Triangles {
         match corners.iter().find(|&&i| i < 0 || i as u64 >= self.vertices as u64) {
             Some(i) => Err(malformed(
                 at,
-                format!("face {face} refers to vertex {i}, but the file has {}", self.vertices),
+                format!(
+                    "face {face} refers to vertex {i}, but the file has {} vertices",
+                    self.vertices
+                ),
             )),
             None => Ok(()),
         }

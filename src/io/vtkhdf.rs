@@ -3,7 +3,7 @@
 //!
 //! All sizes are known in advance, so the file is written sequentially. It consists of the
 //! superblock (version 0), the headers of all groups and data sets (version 1, with the links in
-//! them), and the data. [`h5`](super::input) and other HDF5 readers can read it.
+//! them), and the data. The module `h5` and other HDF5 readers can read the file.
 
 use std::io::{self, Write};
 
@@ -14,7 +14,7 @@ use super::columns::Scalar;
 use super::vtp::arrays::{Array, point_data, points, polygons};
 
 /// HDF5's undefined address.
-const NOWHERE: u64 = u64::MAX;
+const UNDEFINED: u64 = u64::MAX;
 /// Size of the superblock in bytes.
 const SUPERBLOCK: u64 = 96;
 
@@ -82,7 +82,9 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
         data: DatasetContent::Ends(ends),
         role: None,
     };
-    let data = point_data(mesh, spelled).into_iter().map(|array| (array.name.clone(), set(array)));
+    let data = point_data(mesh, with_underscores)
+        .into_iter()
+        .map(|array| (array.name.clone(), set(array)));
     let vtk = Node::Group {
         links: vec![
             ("Lines".to_owned(), none()),
@@ -102,7 +104,7 @@ fn root(mesh: &dyn MeshSource, width: CoordinateWidth) -> Node {
 }
 
 /// Replaces slashes, which HDF5 reserves for paths, by underscores.
-pub(super) fn spelled(name: &str) -> String {
+pub(super) fn with_underscores(name: &str) -> String {
     name.replace('/', "_")
 }
 
@@ -141,7 +143,7 @@ impl Node {
                 // Links are stored in the header, not in a heap.
                 messages.add(
                     0x02,
-                    &[&[0, 0], &NOWHERE.to_le_bytes()[..], &NOWHERE.to_le_bytes()].concat(),
+                    &[&[0, 0], &UNDEFINED.to_le_bytes()[..], &UNDEFINED.to_le_bytes()].concat(),
                 );
                 messages.add(0x0a, &[0, 0]);
                 for ((name, _), address) in links.iter().zip(addresses) {
@@ -202,7 +204,7 @@ impl Node {
     fn encode(&self, at: u64, data: &mut u64, out: &mut Vec<u8>) {
         let bytes = self.data_bytes();
         let addresses = match self {
-            Self::Set { .. } if bytes == 0 => vec![NOWHERE],
+            Self::Set { .. } if bytes == 0 => vec![UNDEFINED],
             Self::Set { .. } => vec![std::mem::replace(data, *data + padded(bytes))],
             Self::Group { links, .. } => {
                 let mut next = at + self.own_bytes();
@@ -334,7 +336,7 @@ fn superblock(end: u64) -> Vec<u8> {
     let mut block = b"\x89HDF\r\n\x1a\n\0\0\0\0\0\x08\x08\0".to_vec();
     // The sizes of B-tree nodes. The file contains no B-trees.
     block.extend([4, 0, 16, 0, 0, 0, 0, 0]);
-    for address in [0, NOWHERE, end, NOWHERE, 0, SUPERBLOCK] {
+    for address in [0, UNDEFINED, end, UNDEFINED, 0, SUPERBLOCK] {
         block.extend(address.to_le_bytes());
     }
     block.resize(SUPERBLOCK as usize, 0);

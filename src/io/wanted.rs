@@ -2,7 +2,7 @@
 //! particles that meet conditions. Removes ghosts.
 
 use crate::particles::condition::Where;
-use crate::particles::mixture::is_kind;
+use crate::particles::mixture::is_material_name;
 use crate::particles::selection::{SelectionFault, select};
 use crate::particles::sizes::{SizeAttributes, SizeChoice};
 use crate::particles::{AttributeInfo, Particles, attribute_called, velocity_attribute};
@@ -45,7 +45,7 @@ pub enum WantedPieces<'a> {
 
 impl WantedPieces<'_> {
     /// Whether piece number `piece` is wanted.
-    pub fn hold(&self, piece: usize) -> bool {
+    pub fn includes(&self, piece: usize) -> bool {
         match self {
             Self::All => true,
             Self::Numbered(numbers) => numbers.binary_search(&piece).is_ok(),
@@ -82,8 +82,8 @@ pub enum WantedAttributes<'a> {
 
 impl WantedAttributes<'_> {
     /// Whether to read the text attribute `name`.
-    pub fn hold_label(&self, name: &str) -> bool {
-        matches!(self, Self::All) || is_kind(name) || self.test(name)
+    pub fn includes_label(&self, name: &str) -> bool {
+        matches!(self, Self::All) || is_material_name(name) || self.test(name)
     }
 
     /// Whether a condition tests the attribute `name`.
@@ -93,35 +93,37 @@ impl WantedAttributes<'_> {
         conditions.any(|condition| condition.name.eq_ignore_ascii_case(name))
     }
 
-    /// For each attribute of an input, whether to read it. If a wanted attribute is missing, all
-    /// are read, so that the error can list them.
+    /// For each attribute of an input, whether to read it. If a requested attribute is missing, all
+    /// attributes are read, so that the error can list them.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
         let Self::Only { .. } = self else { return vec![true; infos.len()] };
-        let is_flag = |name: &str| GHOSTS.contains(&name) || name == TAG || is_kind(name);
-        let asked = self.asked_among(infos);
+        let is_flag = |name: &str| GHOSTS.contains(&name) || name == TAG || is_material_name(name);
+        let requested = self.requested_among(infos);
         let reads = |(number, info): (usize, &AttributeInfo)| {
-            is_flag(&info.name) || asked.as_ref().is_none_or(|asked| asked[number])
+            is_flag(&info.name) || requested.as_ref().is_none_or(|requested| requested[number])
         };
         infos.iter().enumerate().map(reads).collect()
     }
 
     /// For each attribute of an input, whether it is requested by name, by a condition, as a size
-    /// or as the velocity. `None` if a requested attribute is missing, or if all are to be read.
-    pub fn asked_among(&self, infos: &[AttributeInfo]) -> Option<Vec<bool>> {
+    /// or as the velocity. `None` if a requested attribute is missing, or for
+    /// [`All`](Self::All).
+    pub fn requested_among(&self, infos: &[AttributeInfo]) -> Option<Vec<bool>> {
         let Self::Only { names, conditions, sizes } = self else { return None };
         let sizes = sizes.columns(infos).ok()?;
         let sizes = sizes.iter().flat_map(SizeAttributes::numbers);
         let conditions = conditions.iter().flat_map(Where::conditions);
         let selecting = conditions.filter_map(|condition| condition.attribute(infos));
-        let carried: Vec<usize> = match names {
+        let transferred: Vec<usize> = match names {
             None => velocity_attribute(infos).into_iter().collect(),
             Some(names) => {
                 names.iter().map(|name| attribute_called(name, infos)).collect::<Option<_>>()?
             }
         };
-        let mut asked = vec![false; infos.len()];
-        carried.into_iter().chain(selecting).chain(sizes).for_each(|number| asked[number] = true);
-        Some(asked)
+        let mut requested = vec![false; infos.len()];
+        let all = transferred.into_iter().chain(selecting).chain(sizes);
+        all.for_each(|number| requested[number] = true);
+        Some(requested)
     }
 }
 
@@ -141,14 +143,14 @@ impl ParticleFile {
             // The reader has already chosen the type that a condition on `type` names, unless the
             // file has an attribute `type`.
             match self.particle_types.first() {
-                Some(own)
+                Some(chosen)
                     if condition.is_of_type()
                         && (condition.attribute(infos).is_none()
-                            || condition.values == [&**own]) =>
+                            || condition.values == [&**chosen]) =>
                 {
                     let name = condition.name.clone();
                     let order = || ReadFault::Selection(SelectionFault::Order { name });
-                    if condition.values.len() > 1 || !condition.of_text(own).ok_or_else(order)? {
+                    if condition.values.len() > 1 || !condition.of_text(chosen).ok_or_else(order)? {
                         return Err(ReadFault::Selection(SelectionFault::Types {
                             condition: condition.to_string(),
                             known: self.particle_types.clone(),
@@ -158,9 +160,11 @@ impl ParticleFile {
                 _ => tested.push(condition),
             }
         }
-        let sieve = select(&self.particles, tested, || unpacking.go_on().is_ok());
+        let sieve = select(&self.particles, tested, || unpacking.check_cancelled().is_ok());
         let sieve = sieve.map_err(|fault| match fault {
-            SelectionFault::Cancelled => unpacking.go_on().expect_err("was cancelled"),
+            SelectionFault::Cancelled => {
+                unpacking.check_cancelled().expect_err("the selection was cancelled")
+            }
             SelectionFault::Unread(fault) => fault.into(),
             SelectionFault::NoAttribute { name, .. }
                 if self.texts.iter().any(|text| text.eq_ignore_ascii_case(&name)) =>
@@ -188,7 +192,7 @@ impl ParticleFile {
     ///
     /// # Errors
     /// [`ReadFault::Selection`] if every particle fails a condition.
-    pub fn with_some(mut self) -> Result<Self, ReadFault> {
+    pub fn require_selected(mut self) -> Result<Self, ReadFault> {
         self.none_selected.take().map_or(Ok(self), |fault| Err(ReadFault::Selection(fault)))
     }
 
@@ -201,7 +205,7 @@ impl ParticleFile {
     pub(super) fn without(mut self, flag: &str) -> Self {
         let is_it = |info: &AttributeInfo| info.name == flag && info.components == 1;
         if let Some(index) = self.particles.attributes().iter().position(is_it) {
-            self.ghosts += self.particles.leave_out(index);
+            self.ghosts += self.particles.remove_flagged(index);
         }
         self
     }

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use crc32fast::Hasher;
 use tempfile::NamedTempFile;
 
-use crate::system::cancel::{BELONGINGS, remove_belongings};
+use crate::system::cancel::{COMPANION_SUFFIXES, remove_companions};
 use crate::system::held;
 use crate::system::past_cache::PastCache;
 
-use super::beside::{FolderInProgress, turn};
+use super::beside::{FolderInProgress, lock_parent_folder};
 use super::{WriteError, WriteFault};
 
 /// Prefix of the names of temporary files, by which [`sweep`] recognises leftovers.
@@ -22,9 +22,9 @@ const SUFFIX: &str = ".tmp";
 /// Whether an output may replace an existing file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Replace {
-    /// No: an existing file stays.
+    /// Refuses to replace an existing file.
     Refuse,
-    /// Yes, atomically, once the new file is complete.
+    /// Replaces an existing file atomically, once the new file is complete.
     Allow,
 }
 
@@ -66,9 +66,9 @@ impl WholeFile {
             return Err(fail(WriteFault::Exists));
         }
         // A symbolic link stays, and its target is replaced.
-        let there = found.and_then(|_| path.canonicalize().ok());
-        let place = there.unwrap_or_else(|| path.to_owned());
-        let file = temporary_beside(&place).map_err(|e| fail(e.into()))?;
+        let existing = found.and_then(|_| path.canonicalize().ok());
+        let place = existing.unwrap_or_else(|| path.to_owned());
+        let file = create_temporary(&place).map_err(|e| fail(e.into()))?;
         Ok(Self { path: path.to_owned(), target: WriteTarget::Temporary { file, place, replace } })
     }
 
@@ -166,7 +166,7 @@ pub struct FilledFile {
 impl FilledFile {
     /// Adds the folder of the files that this file names. The folder is renamed before this file.
     pub(super) fn after(self, folder: FolderInProgress) -> Self {
-        Self { crc: folder.sum_behind(self.crc, self.bytes), folder: Some(folder), ..self }
+        Self { crc: folder.checksum_after_list(self.crc, self.bytes), folder: Some(folder), ..self }
     }
 
     /// CRC-32 of the bytes of this file and of the files that it names. 0 for a pipe whose reader
@@ -194,7 +194,7 @@ impl FilledFile {
                 let synced = file.as_file().sync_all();
                 // Locks the parent folder, so that the folder of further files and the file that
                 // names them come from the same process.
-                let _turn = folder.as_ref().and_then(|_| turn(&place));
+                let _lock = folder.as_ref().and_then(|_| lock_parent_folder(&place));
                 let before =
                     |folder: FolderInProgress| folder.keep(&place, replace == Replace::Allow);
                 synced.and_then(|()| folder.map_or(Ok(()), before)).and_then(|()| match replace {
@@ -212,21 +212,21 @@ impl FilledFile {
 /// # Errors
 /// If the temporary file cannot be created, written or renamed.
 pub fn replace_small(path: &Path, content: &[u8]) -> io::Result<()> {
-    let mut file = temporary_beside(path)?;
+    let mut file = create_temporary(path)?;
     file.write_all(content)?;
     file.persist(path)?;
     Ok(())
 }
 
 /// Removes temporary files that killed processes left in `folder`. Temporary files of running
-/// processes stay, because they are locked. The locks also work for processes on other machines
-/// that share the folder.
+/// processes stay, because they are locked. On most network file systems, the locks also work for
+/// processes on other machines.
 pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
         if let Some(file) = belongs_to(&path).filter(|file| !file.exists()) {
-            remove_belongings(&file);
+            remove_companions(&file);
             continue;
         }
         if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
@@ -236,13 +236,13 @@ pub fn sweep(folder: &Path) {
         // notices the removal, and creates another file.
         if let Ok(_taken) = held::take(&path) {
             let _ = fs::remove_file(&path);
-            remove_belongings(&path);
+            remove_companions(&path);
         }
     }
 }
 
 /// [Sweeps](sweep) the folder of `file`. The file need not exist.
-pub fn sweep_beside(file: &Path) {
+pub fn sweep_folder_of(file: &Path) {
     sweep(folder_of(file));
 }
 
@@ -285,7 +285,7 @@ fn folder_of(file: &Path) -> &Path {
 /// name.
 fn belongs_to(folder: &Path) -> Option<PathBuf> {
     let name = folder.file_name()?.to_str().filter(|name| name.starts_with(PREFIX))?;
-    let file = BELONGINGS.iter().find_map(|ending| name.strip_suffix(ending))?;
+    let file = COMPANION_SUFFIXES.iter().find_map(|ending| name.strip_suffix(ending))?;
     file.ends_with(SUFFIX).then(|| folder.with_file_name(file))
 }
 
@@ -319,7 +319,7 @@ pub fn make_folder(folder: &Path) -> io::Result<()> {
 
 /// Creates a temporary file in the folder of `place`, so that it can be renamed to `place`
 /// atomically. It has the permissions of a new file.
-fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
+fn create_temporary(place: &Path) -> io::Result<NamedTempFile> {
     let folder = folder_of(place);
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
@@ -344,8 +344,9 @@ fn temporary_beside(place: &Path) -> io::Result<NamedTempFile> {
     }
 }
 
-/// Converts an error that occurred during writing. An error that the format's writer raises has no
-/// system error number.
+/// Converts an error that occurred during writing. An [`io::ErrorKind::InvalidInput`] error without
+/// a system error number comes from the writer of the format, and becomes
+/// [`WriteFault::Unsupported`].
 pub(super) fn fault_of(fault: io::Error) -> WriteFault {
     match (fault.kind(), fault.raw_os_error()) {
         (io::ErrorKind::AlreadyExists, _) => WriteFault::Exists,
@@ -428,7 +429,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_appeared_before_keeping_is_refused_and_kept() {
+    fn keep_fails_and_preserves_a_file_created_meanwhile() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.ply");
         let file = filled(&path);

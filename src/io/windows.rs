@@ -41,7 +41,7 @@ pub trait Windows: Sync + Debug {
         0
     }
 
-    /// Releases the memory of a range. A later access reads the bytes again.
+    /// Releases the memory of a range, if possible. A later access reads the bytes again.
     fn release(&self, range: Range<usize>) {
         let _ = range;
     }
@@ -90,10 +90,10 @@ impl InputBytes {
         }
     }
 
-    /// Makes this input use the windows of `shelf`, which several files share.
-    pub fn share(&mut self, shelf: &Arc<WindowPool>) {
+    /// Makes this input use the windows of `pool`, which several files share.
+    pub fn share(&mut self, pool: &Arc<WindowPool>) {
         if let Self::File(file) = self {
-            file.shelf = Arc::clone(shelf);
+            file.pool = Arc::clone(pool);
         }
     }
 }
@@ -154,7 +154,8 @@ impl Windows for InputBytes {
 #[derive(Debug)]
 pub struct FileWindows {
     file: ReopenedFile,
-    shelf: Arc<WindowPool>,
+    pool: Arc<WindowPool>,
+    /// The first error of a read.
     fault: OnceLock<RereadError>,
 }
 
@@ -183,15 +184,15 @@ impl FileWindow {
 
 impl WindowPool {
     /// Number of windows per thread. A thread alternates between a few columns.
-    const A_THREAD: usize = 4;
+    const PER_THREAD: usize = 4;
 
-    fn most() -> usize {
-        Self::A_THREAD * rayon::current_num_threads()
+    fn max_windows() -> usize {
+        Self::PER_THREAD * rayon::current_num_threads()
     }
 
     /// Maximum memory, in bytes, of the windows for files with a total size of `file_bytes`.
     pub fn resident_bytes(file_bytes: u64) -> u64 {
-        file_bytes.min((Self::most() * LARGE) as u64)
+        file_bytes.min((Self::max_windows() * LARGE) as u64)
     }
 
     /// Takes a window that contains byte `at` of file number `file`, or else one that ends at this
@@ -205,7 +206,7 @@ impl WindowPool {
         let found = idle.iter().position(holds).or_else(|| idle.iter().position(ends));
         let window = match found {
             Some(found) => return idle.remove(found),
-            None if idle.len() < Self::most() => FileWindow::default(),
+            None if idle.len() < Self::max_windows() => FileWindow::default(),
             None => idle.remove(0),
         };
         // The window holds bytes of another range or file, which are discarded.
@@ -221,25 +222,25 @@ impl WindowPool {
 
 impl FileWindows {
     fn new(file: ReopenedFile) -> Self {
-        Self { file, shelf: Arc::default(), fault: OnceLock::new() }
+        Self { file, pool: Arc::default(), fault: OnceLock::new() }
     }
 
     fn fill(&self, window: &mut FileWindow, range: &Range<usize>) {
-        let goes_on = window.at < range.start && range.start <= window.end();
-        let piece = if goes_on { LARGE } else { SMALL };
+        let is_sequential = window.at < range.start && range.start <= window.end();
+        let piece = if is_sequential { LARGE } else { SMALL };
         let len = range.len().max(piece).min(self.count() - range.start);
         window.at = range.start;
         window.bytes.resize(len, 0);
-        if let Err(lost) = self.read(window, goes_on) {
+        if let Err(error) = self.read(window, is_sequential) {
             window.bytes.fill(0);
-            let _ = self.fault.set(unread(lost));
+            let _ = self.fault.set(reread_error(error));
         }
     }
 
-    fn read(&self, window: &mut FileWindow, goes_on: bool) -> Result<(), ReopenedError> {
+    fn read(&self, window: &mut FileWindow, is_sequential: bool) -> Result<(), ReopenedError> {
         let file = self.file.file()?;
         let end = window.end();
-        if goes_on && window.advised < end + AHEAD {
+        if is_sequential && window.advised < end + AHEAD {
             let from = end.max(window.advised);
             window.advised = end + 2 * AHEAD;
             will_read(&file, from as u64, (window.advised - from) as u64);
@@ -248,8 +249,8 @@ impl FileWindows {
     }
 }
 
-fn unread(lost: ReopenedError) -> RereadError {
-    match lost {
+fn reread_error(error: ReopenedError) -> RereadError {
+    match error {
         ReopenedError::Changed => RereadError::Changed,
         ReopenedError::Io(fault) => RereadError::Io(fault.kind()),
     }
@@ -262,12 +263,12 @@ impl Windows for FileWindows {
 
     fn with<R>(&self, range: Range<usize>, read: impl FnOnce(&[u8]) -> R) -> R {
         assert!(range.end <= self.count(), "range to byte {} of {}", range.end, self.count());
-        let mut window = self.shelf.take(self.file.number(), range.start);
+        let mut window = self.pool.take(self.file.number(), range.start);
         if range.start < window.at || window.end() < range.end {
             self.fill(&mut window, &range);
         }
         let result = read(&window.bytes[range.start - window.at..][..range.len()]);
-        self.shelf.put(window);
+        self.pool.put(window);
         result
     }
 
@@ -279,7 +280,7 @@ impl Windows for FileWindows {
         match (self.file.check(), self.fault.get()) {
             (Err(ReopenedError::Changed), _) => Err(RereadError::Changed),
             (_, Some(&fault)) => Err(fault),
-            (Err(lost), None) => Err(unread(lost)),
+            (Err(error), None) => Err(reread_error(error)),
             (Ok(()), None) => Ok(()),
         }
     }

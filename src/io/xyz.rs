@@ -118,7 +118,7 @@ fn without_marks(comment: &str) -> &str {
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid line between frames.
-pub(super) fn pass(lines: &mut TextLines) -> Result<bool, ReadFault> {
+pub(super) fn skip_frame(lines: &mut TextLines) -> Result<bool, ReadFault> {
     Ok(XyzFrame::next(lines)?.is_some())
 }
 

@@ -118,8 +118,8 @@ fn extremes_of_floats(particles: &dyn Particles, index: usize) -> Result<[i64; 2
         let mut extremes = [0_i64; 2];
         for component in 0..components {
             particles.component((index, component), range.start, &mut values);
-            if let Some(&odd) = values.iter().find(|value| value.fract() != 0.0) {
-                return Err(odd);
+            if let Some(&fraction) = values.iter().find(|value| value.fract() != 0.0) {
+                return Err(fraction);
             }
             let [low, high] = &mut extremes;
             values
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_numbers_become_integers_without_rounding_and_fractions_are_an_error() {
+    fn whole_floats_become_exact_integers_and_fractions_are_an_error() {
         let ids = Valued::new("id", AttributeKind::Signed, 1, &[1.0, 2.0]);
         let float = |values| Valued::new("id", AttributeKind::Number, 1, values);
         let exact = float(&[16_777_217.0, -3.0]);
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn integers_become_floats_for_all_frames_only_if_all_integers_of_a_frame_are_equal() {
+    fn constant_integers_become_floats_if_another_frame_has_fractions() {
         let fractions = Valued::new("temp", AttributeKind::Number, 1, &[0.5, 1.5]);
         for (values, expected) in
             [([0.0, 0.0], AttributeKind::Number), ([0.0, 1.0], AttributeKind::Signed)]

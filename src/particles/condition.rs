@@ -40,7 +40,7 @@ pub enum Comparison {
 
 /// The operators and their texts. Operators of two characters come first, so that `<=` is not read
 /// as `<`.
-const WRITTEN: [(&str, Comparison); 7] = [
+const OPERATORS: [(&str, Comparison); 7] = [
     ("!=", Comparison::NotEqual),
     ("<=", Comparison::LessOrEqual),
     (">=", Comparison::GreaterOrEqual),
@@ -180,12 +180,12 @@ impl FromStr for Condition {
             format!("expected a condition such as Type=1, mk=0,2 or age<2.5, got {:?}", text.trim())
         };
         let length = |text: &str| {
-            WRITTEN.iter().find(|(written, _)| text.starts_with(written)).map(|(w, _)| w.len())
+            OPERATORS.iter().find(|(written, _)| text.starts_with(written)).map(|(w, _)| w.len())
         };
         let sides = split(text, length);
         let [name, values] = sides[..] else { return Err(expected()) };
         let written = &text[name.len()..text.len() - values.len()];
-        let comparison = WRITTEN.iter().find(|(known, _)| *known == written);
+        let comparison = OPERATORS.iter().find(|(known, _)| *known == written);
         let (name, (_, comparison)) = (unquoted(name), comparison.ok_or_else(expected)?);
         let values = split(values, |text| text.starts_with(',').then_some(1));
         // An empty value must be quoted.
@@ -238,7 +238,7 @@ fn quoted(text: &str) -> String {
 
 impl Display for Condition {
     fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
-        let written = WRITTEN.iter().rev().find(|(_, known)| *known == self.comparison);
+        let written = OPERATORS.iter().rev().find(|(_, known)| *known == self.comparison);
         let values: Vec<_> = self.values.iter().map(|value| quoted(value)).collect();
         let written = written.map_or("", |(written, _)| written);
         write!(f, "{}{written}{}", quoted(&self.name), values.join(","))

@@ -152,7 +152,7 @@ const SHORT: f32 = 65535.0;
 const COLOURS: [&str; 8] = ["cd", "color", "colors", "colour", "colours", "diffuse", "rgb", "rgba"];
 
 /// Names of colour components, in lower case.
-pub const SHARES: [&str; 4] = ["red", "green", "blue", "alpha"];
+pub const COMPONENT_NAMES: [&str; 4] = ["red", "green", "blue", "alpha"];
 
 /// Whether an attribute with this name and three or four components is a colour.
 #[must_use]
@@ -162,8 +162,8 @@ pub fn is_colour_name(name: &str) -> bool {
 
 /// Whether this is the name of a colour or of one of its components.
 #[must_use]
-pub fn asks_for_colour(name: &str) -> bool {
-    is_colour_name(name) || SHARES.contains(&&*name.to_ascii_lowercase())
+pub fn is_colour_or_component_name(name: &str) -> bool {
+    is_colour_name(name) || COMPONENT_NAMES.contains(&&*name.to_ascii_lowercase())
 }
 
 impl AttributeKind {

@@ -22,24 +22,24 @@ const DIVISIONS: u32 = 4;
 const PLACES: usize = 256;
 /// The place with theta = 0.445 for one particle per cell. Along each axis, it is 0.277 of a step
 /// away from the middle.
-const SOUND: f64 = 57.0;
+const TARGET_PLACE: f64 = 57.0;
 /// Positions on a circle count as equal if the length of their mean unit vector exceeds this.
 /// Jitter with a standard deviation of 0.19 steps gives a length of 0.5.
 const COHERENT: f64 = 0.5;
 /// Scale of the integer cosines. Integer sums do not depend on order or threads.
-const ONE: f64 = 32768.0;
+const COSINE_SCALE: f64 = 32768.0;
 const CHUNK: usize = 1 << 12;
 
 /// The origin nearest to `origin` that suits a lattice of particles in cells of edge `cell_size`;
 /// `None` if there is no lattice along any axis, or its step does not divide the cells' edge.
-pub fn sound_origin(particles: &dyn Particles, origin: DVec3, cell_size: f64) -> Option<DVec3> {
+pub fn lattice_origin(particles: &dyn Particles, origin: DVec3, cell_size: f64) -> Option<DVec3> {
     (1..=DIVISIONS).find_map(|divisions| {
         let step = cell_size / f64::from(divisions);
         let places = places(particles, origin, step);
         let coherent = places.iter().any(Option::is_some);
         coherent.then(|| {
             let shift = |place: Option<f64>| {
-                let turn = place.map_or(0.0, |place| (place - SOUND) / PLACES as f64);
+                let turn = place.map_or(0.0, |place| (place - TARGET_PLACE) / PLACES as f64);
                 (turn - turn.round()) * step
             };
             origin + DVec3::from(places.map(shift))
@@ -53,7 +53,7 @@ fn places(particles: &dyn Particles, origin: DVec3, step: f64) -> [Option<f64>; 
     let circle: Vec<[i64; 2]> = (0..PLACES)
         .map(|place| {
             let angle = TAU * place as f64 / PLACES as f64;
-            [libm::cos(angle), libm::sin(angle)].map(|x| (x * ONE).round() as i64)
+            [libm::cos(angle), libm::sin(angle)].map(|x| (x * COSINE_SCALE).round() as i64)
         })
         .collect();
     let of_chunk = |chunk: usize| {
@@ -68,8 +68,8 @@ fn places(particles: &dyn Particles, origin: DVec3, step: f64) -> [Option<f64>; 
                 continue;
             }
             for (sum, x) in sums.iter_mut().zip(steps.to_array()) {
-                // Rounding errors can move a particle on a cell face to either side of the face.
-                // Rounding to the nearest place puts it at place 0 in both cases.
+                // Rounding errors can move a particle at a multiple of the step to either side of
+                // the multiple. Rounding to the nearest place gives place 0 in both cases.
                 let place = ((x - x.floor()) * PLACES as f64).round() as usize % PLACES;
                 let [cos, sin] = circle[place];
                 sum[0] += cos;
@@ -85,7 +85,7 @@ fn places(particles: &dyn Particles, origin: DVec3, step: f64) -> [Option<f64>; 
     );
     sums.map(|[cos, sin, count]| {
         let (cos, sin) = (cos as f64, sin as f64);
-        let coherent = libm::hypot(cos, sin) > COHERENT * ONE * count as f64;
+        let coherent = libm::hypot(cos, sin) > COHERENT * COSINE_SCALE * count as f64;
         coherent.then(|| (libm::atan2(sin, cos) / TAU * PLACES as f64).round())
     })
 }
@@ -102,18 +102,18 @@ mod tests {
     }
 
     #[test]
-    fn the_origin_moves_any_lattice_to_the_sound_place() {
+    fn the_origin_moves_any_lattice_to_the_target_place() {
         for (per_cell, at) in
             [(1.0, [0.0; 3]), (1.0, [0.5; 3]), (2.0, [0.25, -0.5, 7.1]), (3.0, [1e-9; 3])]
         {
             let step = 0.05 / per_cell;
             let particles = lattice(step, at.map(|x| x * step));
-            let origin = sound_origin(&particles, DVec3::ZERO, 0.05).unwrap();
+            let origin = lattice_origin(&particles, DVec3::ZERO, 0.05).unwrap();
             assert!(origin.abs().max_element() <= step / 2.0);
             for p in &particles {
                 for x in ((DVec3::from(*p) - origin) / step).to_array() {
                     assert!(
-                        (x - x.floor() - SOUND / 256.0).abs() < 0.003,
+                        (x - x.floor() - TARGET_PLACE / 256.0).abs() < 0.003,
                         "{per_cell} {at:?}: {x}"
                     );
                 }
@@ -123,7 +123,7 @@ mod tests {
 
     #[test]
     fn other_lattice_steps_and_disorder_keep_the_origin() {
-        assert_eq!(sound_origin(&lattice(0.0391, [0.0; 3]), DVec3::ZERO, 0.05), None);
+        assert_eq!(lattice_origin(&lattice(0.0391, [0.0; 3]), DVec3::ZERO, 0.05), None);
         let mut state = 1u64;
         let mut unit = || {
             state = state
@@ -132,6 +132,6 @@ mod tests {
             (state >> 33) as f64 / f64::from(1u32 << 31)
         };
         let random: Vec<[f64; 3]> = (0..2000).map(|_| [unit(), unit(), unit()]).collect();
-        assert_eq!(sound_origin(&random, DVec3::ZERO, 0.05), None);
+        assert_eq!(lattice_origin(&random, DVec3::ZERO, 0.05), None);
     }
 }

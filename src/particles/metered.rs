@@ -6,7 +6,8 @@ use crate::system::control::{Control, Meter, Stage};
 
 use super::{AttributeInfo, Label, Particles, RereadError};
 
-/// Counts the particles that are read. After a cancel, positions are NaN, so every read ends soon.
+/// Counts the particles that are read. After a cancel, positions are NaN instead of being read, so
+/// every pass over the particles ends soon.
 #[derive(Debug)]
 pub struct MeteredParticles<'a> {
     particles: &'a dyn Particles,

@@ -12,7 +12,7 @@ use super::occurring::{AttributeOrLabel, Value, values_of};
 use super::{Particles, chunks};
 
 /// Names of attributes that distinguish materials, in lower case and without punctuation.
-const KINDS: [&str; 38] = [
+const MATERIAL_NAMES: [&str; 38] = [
     "type",
     "ptype",
     "particletype",
@@ -54,17 +54,17 @@ const KINDS: [&str; 38] = [
 ];
 
 /// Maximum number of different values of an attribute that distinguishes materials.
-const MOST: usize = 3;
+const MOST_VALUES: usize = 3;
 /// Maximum number of cells along each axis of the grid that finds the inside of the fluid.
-const FINEST: f64 = 32.0;
+const MOST_CELLS: f64 = 32.0;
 /// Minimum overlap of a tank and its fluid along each axis, as a fraction of the fluid's extent.
 const OVERLAP: f64 = 0.1;
 /// Maximum thickness of a floor, in mean distances between its particles.
 const FLOOR: f64 = 5.0;
 /// Average number of fluid particles in a cell of the grid that finds the inside of the fluid.
-const IN_CELL: f64 = 8.0;
+const PARTICLES_PER_CELL: f64 = 8.0;
 /// Maximum fraction of a boundary's particles that may be inside the fluid.
-const WITHIN: f64 = 0.02;
+const MOST_INSIDE: f64 = 0.02;
 /// If at least this fraction of a bounding box's inner cells is inside the fluid, the fluid fills
 /// the box.
 const FILLED: f64 = 0.5;
@@ -73,14 +73,14 @@ const FILLED: f64 = 0.5;
 const LEAST_CELLS: i32 = 3;
 /// Maximum number of boundary particles in the bounding box of a fluid that has fewer than
 /// [`LEAST_CELLS`] cells along each axis, as a multiple of the number of fluid particles. If the
-/// particles taken for the fluid are a few tracers, their bounding box contains many more
-/// particles.
-const AMONG: f64 = 0.5;
+/// supposed fluid is a few tracers in a fluid, their bounding box contains many more of the
+/// supposed boundary particles.
+const MOST_BOUNDARY_PER_FLUID: f64 = 0.5;
 
 /// Whether the name of an attribute suggests materials.
-pub fn is_kind(name: &str) -> bool {
+pub fn is_material_name(name: &str) -> bool {
     let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect();
-    KINDS.contains(&plain.to_ascii_lowercase().as_str())
+    MATERIAL_NAMES.contains(&plain.to_ascii_lowercase().as_str())
 }
 
 /// A fluid and the particles around it that look like its boundary.
@@ -131,17 +131,18 @@ impl BoundingBox {
 /// Finds a boundary around a fluid, using an attribute whose name and values suggest a boundary.
 pub fn mixture(particles: &dyn Particles) -> Option<Mixture> {
     let scalars = particles.attributes().iter().enumerate();
-    let scalars = scalars.filter(|(_, info)| info.components == 1 && is_kind(&info.name));
-    let labels = particles.labels().iter().enumerate().filter(|(_, label)| is_kind(&label.name));
+    let scalars = scalars.filter(|(_, info)| info.components == 1 && is_material_name(&info.name));
+    let labels =
+        particles.labels().iter().enumerate().filter(|(_, label)| is_material_name(&label.name));
     let sources = scalars.map(|(index, info)| (AttributeOrLabel::of(index, info), &info.name));
     let mut sources =
         sources.chain(labels.map(|(index, l)| (AttributeOrLabel::Label(index), &l.name)));
-    sources.find_map(|(source, name)| by(particles, source, name))
+    sources.find_map(|(source, name)| mixture_by(particles, source, name))
 }
 
 /// Calls `take` with the positions and the sort keys of a few thousand particles at a time, and
 /// joins the results.
-fn each<T: Send>(
+fn reduce_chunks<T: Send>(
     particles: &dyn Particles,
     source: AttributeOrLabel,
     take: impl Fn(&[[f64; 3]], &[u64]) -> T + Sync,
@@ -156,26 +157,27 @@ fn each<T: Send>(
     found.reduce(&none, joined)
 }
 
-fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option<Mixture> {
+/// Finds a boundary by the values of one attribute or label. `name` is its name.
+fn mixture_by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option<Mixture> {
     let values =
-        values_of(particles, source).filter(|values| (2..=MOST).contains(&values.len()))?;
+        values_of(particles, source).filter(|values| (2..=MOST_VALUES).contains(&values.len()))?;
     let finite = |position: &[f64; 3]| DVec3::from(*position).is_finite();
-    let place = |key: u64| values.iter().position(|(known, ..)| *known == key);
-    let extents = each(
+    let index_of = |key: u64| values.iter().position(|(known, ..)| *known == key);
+    let extents = reduce_chunks(
         particles,
         source,
         |positions, keys| {
-            let mut extents = [BoundingBox::NONE; MOST];
+            let mut extents = [BoundingBox::NONE; MOST_VALUES];
             for (position, key) in positions.iter().zip(keys).filter(|(p, _)| finite(p)) {
-                if let Some(place) = place(*key) {
-                    extents[place] =
-                        extents[place].joined(BoundingBox([DVec3::from(*position); 2]));
+                if let Some(index) = index_of(*key) {
+                    extents[index] =
+                        extents[index].joined(BoundingBox([DVec3::from(*position); 2]));
                 }
             }
             extents
         },
         |one, other| std::array::from_fn(|i| one[i].joined(other[i])),
-        || [BoundingBox::NONE; MOST],
+        || [BoundingBox::NONE; MOST_VALUES],
     );
     let pairs =
         (0..values.len()).flat_map(|outer| (0..values.len()).map(move |inner| (outer, inner)));
@@ -184,17 +186,18 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
     };
     let visit = |key: u64, cells: &FluidCells, visit: &(dyn Fn(usize) + Sync)| {
         let take = |positions: &[[f64; 3]], keys: &[u64]| {
-            let those = positions.iter().zip(keys).filter(|(p, own)| **own == key && finite(p));
-            those.filter_map(|(p, _)| cells.index(DVec3::from(*p))).for_each(visit);
+            let of_key = positions.iter().zip(keys).filter(|(p, own)| **own == key && finite(p));
+            of_key.filter_map(|(p, _)| cells.index(DVec3::from(*p))).for_each(visit);
         };
-        each(particles, source, take, |(), ()| (), || ());
+        reduce_chunks(particles, source, take, |(), ()| (), || ());
     };
     let wet = |key: u64, cells: &FluidCells| -> Vec<bool> {
         let wet: Vec<AtomicBool> = (0..cells.len()).map(|_| AtomicBool::new(false)).collect();
         visit(key, cells, &|cell| wet[cell].store(true, Ordering::Relaxed));
         wet.into_iter().map(AtomicBool::into_inner).collect()
     };
-    // Water around a body fills its own bounding box, but the particles of a tank do not.
+    // The particles of a tank do not fill their bounding box. If the particles with a value do, for
+    // example water around a body, they are not a boundary.
     let fills: Vec<bool> = values
         .iter()
         .zip(&extents)
@@ -214,9 +217,9 @@ fn by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -> Option
                 inside.fetch_add(1, Ordering::Relaxed);
             }
         });
-        let is_apart = f64::from(inside.into_inner()) <= WITHIN * *around as f64;
-        let is_around =
-            cells.count >= LEAST_CELLS || f64::from(among.into_inner()) <= AMONG * *within as f64;
+        let is_apart = f64::from(inside.into_inner()) <= MOST_INSIDE * *around as f64;
+        let is_around = cells.count >= LEAST_CELLS
+            || f64::from(among.into_inner()) <= MOST_BOUNDARY_PER_FLUID * *within as f64;
         is_apart && is_around
     };
     let around = pairs.filter(around).filter(|pair| !fills[pair.0]).filter(is_boundary);
@@ -240,7 +243,8 @@ struct FluidCells {
 
 impl FluidCells {
     fn of(BoundingBox([lo, hi]): BoundingBox, particles: usize) -> Self {
-        let count = libm::cbrt(particles as f64 / IN_CELL).clamp(1.0, FINEST).floor();
+        let count =
+            libm::cbrt(particles as f64 / PARTICLES_PER_CELL).clamp(1.0, MOST_CELLS).floor();
         Self {
             lo,
             scale: count / (hi - lo).max(DVec3::splat(f64::MIN_POSITIVE)),

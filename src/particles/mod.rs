@@ -399,7 +399,8 @@ pub fn attribute_called(name: &str, attributes: &[AttributeInfo]) -> Option<usiz
         alike.next().filter(|_| alike.next().is_none())
     };
     let velocity = || velocity_attribute(attributes).filter(|_| name == "velocity");
-    let colour = || colour_attribute(attributes).filter(|_| kind::asks_for_colour(name));
+    let colour =
+        || colour_attribute(attributes).filter(|_| kind::is_colour_or_component_name(name));
     named.or_else(velocity).or_else(alike).or_else(colour)
 }
 

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::{AttributeInfo, Particles, chunks};
 
 /// Maximum number of distinct values of a listed attribute.
-const MOST: usize = 8;
+const MOST_VALUES: usize = 8;
 
 /// An attribute with few distinct values.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -124,7 +124,7 @@ fn counted(particles: &dyn Particles, source: AttributeOrLabel) -> Option<BTreeM
         let mut counts = BTreeMap::new();
         for key in source.keys(particles, range) {
             *counts.entry(key).or_insert(0) += 1;
-            if counts.len() > MOST {
+            if counts.len() > MOST_VALUES {
                 return None;
             }
         }
@@ -132,7 +132,7 @@ fn counted(particles: &dyn Particles, source: AttributeOrLabel) -> Option<BTreeM
     });
     let joined = counts.try_reduce(BTreeMap::new, |mut counts, others| {
         others.into_iter().for_each(|(key, count)| *counts.entry(key).or_insert(0) += count);
-        (counts.len() <= MOST).then_some(counts)
+        (counts.len() <= MOST_VALUES).then_some(counts)
     })?;
     (!joined.is_empty() && joined.len() * 2 <= all).then_some(joined)
 }

@@ -71,7 +71,7 @@ pub enum SelectionFault {
         known: Vec<String>,
     },
     /// No particle satisfies all conditions.
-    #[error("{} {conditions}{}", no_particle(*of), occur(values))]
+    #[error("{} {conditions}{}", no_particle(*of), values_text(values))]
     None {
         /// The number of particles.
         of: usize,
@@ -101,7 +101,8 @@ fn no_particle(of: usize) -> String {
     }
 }
 
-fn occur(values: &[ValueCounts]) -> String {
+/// Part of a message that lists the values of attributes.
+fn values_text(values: &[ValueCounts]) -> String {
     let one = |of: &ValueCounts| {
         let listed = of.values.iter();
         let listed = listed.map(|(value, count)| format!("{value} ({})", particle_count(*count)));
@@ -179,7 +180,7 @@ impl Condition {
         }
     }
 
-    fn number(
+    fn operand(
         &self,
         infos: &[AttributeInfo],
         labels: &[Label],
@@ -202,7 +203,7 @@ impl Condition {
         Ok(ConditionOperand::Component(index, component))
     }
 
-    fn test(
+    fn stored(
         &self,
         infos: &[AttributeInfo],
         labels: &[Label],
@@ -218,20 +219,20 @@ impl Condition {
             let texts = labels[index].texts.iter().map(passes).collect::<Result<_, _>>()?;
             return Ok(StoredCondition::Label(index, texts));
         }
-        let number = self.number(infos, labels)?;
+        let operand = self.operand(infos, labels)?;
         let value = |text: &String| {
             let fault = || SelectionFault::Text { name: name.clone(), value: text.clone() };
             text.parse().map_err(|_| fault())
         };
         let values = self.values.iter().map(value).collect::<Result<_, _>>()?;
         let whole: Option<Vec<i64>> = self.values.iter().map(|text| integer(text)).collect();
-        Ok(match (number, whole) {
+        Ok(match (operand, whole) {
             (ConditionOperand::Component(index, component), Some(whole))
                 if infos[index].kind.is_whole() =>
             {
                 StoredCondition::Whole((index, component), self.comparison, whole)
             }
-            _ => StoredCondition::Number(number, self.comparison, values),
+            _ => StoredCondition::Number(operand, self.comparison, values),
         })
     }
 }
@@ -241,9 +242,9 @@ impl StoredCondition {
     fn apply(&self, particles: &dyn Particles, range: Range<usize>, words: &mut [u64]) {
         let (first, count) = (range.start, range.len());
         match self {
-            Self::Number(number, comparison, values) => {
+            Self::Number(operand, comparison, values) => {
                 let mut numbers = vec![0.0; count];
-                match *number {
+                match *operand {
                     ConditionOperand::Component(index, component) => {
                         particles.component((index, component), first, &mut numbers)
                     }
@@ -254,7 +255,7 @@ impl StoredCondition {
                         numbers.iter_mut().zip(along).for_each(|(to, along)| *to = along);
                     }
                 }
-                keep(words, &numbers, |&number| comparison.holds(number, values));
+                clear_failing(words, &numbers, |&number| comparison.holds(number, values));
             }
             Self::Whole((index, component), comparison, values) => {
                 let components = particles.attributes()[*index].components;
@@ -262,19 +263,21 @@ impl StoredCondition {
                 particles.integers(*index, first, &mut all);
                 let numbers: Vec<i64> =
                     all.into_iter().skip(*component).step_by(components).collect();
-                keep(words, &numbers, |&number| comparison.holds_whole(number, values));
+                clear_failing(words, &numbers, |&number| comparison.holds_whole(number, values));
             }
             Self::Label(index, passes) => {
                 let mut texts = vec![0; count];
                 particles.label(*index, first, &mut texts);
-                keep(words, &texts, |&text| passes.get(text as usize).is_some_and(|&pass| pass));
+                clear_failing(words, &texts, |&text| {
+                    passes.get(text as usize).is_some_and(|&pass| pass)
+                });
             }
         }
     }
 }
 
 /// Clears the bits of the values for which `holds` returns false.
-fn keep<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
+fn clear_failing<T>(words: &mut [u64], values: &[T], holds: impl Fn(&T) -> bool) {
     for (word, values) in words.iter_mut().zip(values.chunks(64)) {
         let bits = values.iter().map(&holds).enumerate();
         *word &= bits.fold(0, |bits, (bit, holds)| bits | u64::from(holds) << bit);
@@ -292,7 +295,7 @@ pub fn select<'a>(
     goes_on: impl Fn() -> bool + Sync,
 ) -> Result<Sieve, SelectionFault> {
     let (infos, labels) = (particles.attributes(), particles.labels());
-    let tests = conditions.into_iter().map(|condition| condition.test(infos, labels));
+    let tests = conditions.into_iter().map(|condition| condition.stored(infos, labels));
     let tests = tests.collect::<Result<Vec<_>, _>>()?;
     let mut words = Sieve::none(particles.len());
     let groups = words.par_chunks_mut(GROUP / 64).enumerate();

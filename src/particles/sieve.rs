@@ -57,7 +57,7 @@ impl Sieve {
         Some(at * WORD + WORD - 1 - word.leading_zeros() as usize)
     }
 
-    /// Keeps each selected row whose index among the selected rows is selected in `inner`.
+    /// The selected rows whose numbers, counted among the selected rows, are selected in `inner`.
     pub fn within(&self, inner: &Self) -> Self {
         let mut words = vec![0; self.words.len()];
         let rows = self.rows(0).enumerate().filter(|(number, _)| inner.holds(*number));

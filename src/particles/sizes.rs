@@ -26,7 +26,8 @@ pub const SPACING: &str = "spacing";
 const USUAL_MASSES: &str = "masses";
 const USUAL_DENSITIES: [&str; 2] = ["density", "densities"];
 const USUAL_LENGTHS: [&str; 2] = ["smoothinglength", "smoothinglengths"];
-/// Names of attributes whose values are not radii.
+/// Names of attributes that hold diameters, volumes, masses or densities, in lower case and without
+/// punctuation.
 const DIAMETERS: [&str; 8] =
     ["diameter", "diameters", "size", SPACING, "h", "hsml", USUAL_LENGTHS[0], USUAL_LENGTHS[1]];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];
@@ -34,25 +35,25 @@ const MASSES: [&str; 4] = ["mass", "masses", "particlemass", "m"];
 const DENSITIES: [&str; 5] = ["density", "densities", "rho", "rhop", "densityf"];
 
 /// Sizes that differ by less than this factor count as one size.
-const ONE_SIZE: f64 = 1.1;
+const SAME_SIZE: f64 = 1.1;
 /// Maximum ratio of the largest to the smallest size. Larger particles are treated as having this
 /// many times the smallest size.
 pub const MOST_TIMES: f64 = 64.0;
 /// Fraction of the particles that count as outliers at each end of the range of sizes.
-const STRAYS: f64 = 1e-4;
+const OUTLIERS: f64 = 1e-4;
 /// Minimum ratio of the largest to the smallest mass at which masses count as different. Gas that
 /// exchanges mass, for example with stars, has a smaller ratio, but still has one resolution.
-const OTHER_MASS: f64 = 1.9;
+const LEAST_MASS_RATIO: f64 = 1.9;
 /// Fraction of the particles that is ignored at each end of the range of masses.
-const STRAY_MASSES: f64 = 0.01;
+const MASS_OUTLIERS: f64 = 0.01;
 /// Edge of the cells in which the density is measured, as a multiple of the largest size.
 const CELL: f64 = 4.0;
 /// Minimum number of cells from which a density is measured. Only cells whose 26 neighbours all
 /// contain particles count.
-const ENOUGH: usize = 8;
+const LEAST_CELLS: usize = 8;
 /// Range of plausible densities. A density is the volume of the particles per unit volume. A
 /// density outside this range shows that the program defines radii differently.
-const FLUID: [f64; 2] = [0.7, 1.4];
+const PLAUSIBLE_DENSITIES: [f64; 2] = [0.7, 1.4];
 
 /// Meaning of an attribute's values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -283,12 +284,12 @@ impl SizeAttributes {
     }
 
     /// Whether the attributes give sizes. If `if_masses_differ` names masses, the largest mass,
-    /// apart from outliers, must be at least `OTHER_MASS` times the smallest.
+    /// apart from outliers, must be at least `LEAST_MASS_RATIO` times the smallest.
     pub fn are_sizes(&self, particles: &dyn Particles) -> bool {
         let Some(size) = self.if_masses_differ else { return true };
         let masses = Self { size, density: None, meaning: Meaning::Diameter, ..*self };
-        let range = SizeCounts::of(particles, &masses).range(STRAY_MASSES);
-        range.is_some_and(|(least, most)| most >= OTHER_MASS * least)
+        let range = SizeCounts::of(particles, &masses).range(MASS_OUTLIERS);
+        range.is_some_and(|(least, most)| most >= LEAST_MASS_RATIO * least)
     }
 
     /// Whether the attribute holds smoothing lengths, which programs define in different ways.
@@ -417,9 +418,9 @@ impl Sizes {
         columns: &SizeAttributes,
         spacing: f64,
     ) {
-        let density = || filling(particles, columns, self, CELL / 2.0 * spacing);
+        let density = || density_in_fluid(particles, columns, self, CELL / 2.0 * spacing);
         if self.density.is_none()
-            && let Some(density) = density().filter(|&density| density >= FLUID[1])
+            && let Some(density) = density().filter(|&density| density >= PLAUSIBLE_DENSITIES[1])
         {
             self.scale_to_fill(density);
         }
@@ -428,8 +429,8 @@ impl Sizes {
     /// Measures the density deep in the fluid, in cells of edge `edge`. If the density is not
     /// plausible, scales the sizes so that it becomes 1.
     fn scale_by_density(&mut self, particles: &dyn Particles, columns: &SizeAttributes, edge: f64) {
-        self.density = filling(particles, columns, self, edge);
-        let [least, most] = FLUID;
+        self.density = density_in_fluid(particles, columns, self, edge);
+        let [least, most] = PLAUSIBLE_DENSITIES;
         if let Some(density) = self.density.filter(|density| !(least..most).contains(density)) {
             self.scale_to_fill(density);
         }
@@ -455,17 +456,19 @@ impl Sizes {
         let attribute = particles.attributes()[columns.size].name.clone();
         let census = SizeCounts::of(particles, columns);
         let none = || SizeFault::NoSize { name: attribute.clone() };
-        let (finest, quantile) = census.range(STRAYS).ok_or_else(none)?;
-        let usual = census.middle();
-        // A few tiny particles must not limit the size of most particles.
+        let (finest, quantile) = census.range(OUTLIERS).ok_or_else(none)?;
+        let usual = census.median();
+        // `coarsest` is limited to `MOST_TIMES` times `finest`. Sizes below the median divided by
+        // `MOST_TIMES` are ignored, so that a few tiny particles do not limit the size of most
+        // particles.
         let finest = finest.max(census.least_from(usual / MOST_TIMES));
-        if quantile < ONE_SIZE * finest {
-            let (size, invalid) = (census.middle(), census.invalid);
+        if quantile < SAME_SIZE * finest {
+            let (size, invalid) = (census.median(), census.invalid);
             return Ok(FoundSizes::One { attribute, size, invalid });
         }
         let most = MOST_TIMES * finest;
         let coarsest = census.most().min(most);
-        let larger = census.beyond(most);
+        let larger = census.count_above(most);
         let mut sizes = Self {
             attribute,
             meaning: columns.meaning,
@@ -530,7 +533,10 @@ impl SizeCounts {
     }
 
     /// The first step at which the running total of particles reaches `count`.
-    fn at(steps: impl Iterator<Item = (u64, f64, f64)>, count: u64) -> Option<(u64, f64, f64)> {
+    fn step_at(
+        steps: impl Iterator<Item = (u64, f64, f64)>,
+        count: u64,
+    ) -> Option<(u64, f64, f64)> {
         let mut before = 0;
         let mut steps = steps;
         steps.find(|(found, ..)| {
@@ -539,13 +545,13 @@ impl SizeCounts {
         })
     }
 
-    /// The smallest and the largest size, apart from the fraction `strays` of outliers at each end.
-    fn range(&self, strays: f64) -> Option<(f64, f64)> {
+    /// The smallest and the largest size, apart from the fraction `outliers` at each end.
+    fn range(&self, outliers: f64) -> Option<(f64, f64)> {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
-        let strays = ((all as f64 * strays) as u64).max(1);
-        let least = Self::at(steps.iter().copied(), strays)?.1;
-        let most = Self::at(steps.iter().rev().copied(), strays)?.2;
+        let outliers = ((all as f64 * outliers) as u64).max(1);
+        let least = Self::step_at(steps.iter().copied(), outliers)?.1;
+        let most = Self::step_at(steps.iter().rev().copied(), outliers)?.2;
         Some((least, most))
     }
 
@@ -554,10 +560,10 @@ impl SizeCounts {
     }
 
     /// The median size.
-    fn middle(&self) -> f64 {
+    fn median(&self) -> f64 {
         let steps = self.sorted();
         let all: u64 = steps.iter().map(|(count, ..)| count).sum();
-        Self::at(steps.into_iter(), all.div_ceil(2)).map_or(0.0, |(_, least, _)| least)
+        Self::step_at(steps.into_iter(), all.div_ceil(2)).map_or(0.0, |(_, least, _)| least)
     }
 
     /// The smallest size in the steps whose sizes are all at least `size`.
@@ -567,7 +573,7 @@ impl SizeCounts {
     }
 
     /// Number of particles in the steps whose sizes all exceed `size`.
-    fn beyond(&self, size: f64) -> u64 {
+    fn count_above(&self, size: f64) -> u64 {
         self.steps.values().filter(|&&(_, least, _)| least > size).map(|&(count, ..)| count).sum()
     }
 }
@@ -575,7 +581,7 @@ impl SizeCounts {
 /// The volume of the particles per unit volume deep in the fluid: the median over the cells of edge
 /// `edge` that are surrounded by cells with particles. Returns `None` if there are too few such
 /// cells.
-fn filling(
+fn density_in_fluid(
     particles: &dyn Particles,
     columns: &SizeAttributes,
     sizes: &Sizes,
@@ -613,7 +619,7 @@ fn filling(
     };
     let mut inside: Vec<u128> =
         cells.iter().filter(|(cell, _)| is_inside(cell)).map(|(_, &volume)| volume).collect();
-    if inside.len() < ENOUGH {
+    if inside.len() < LEAST_CELLS {
         return None;
     }
     let middle = inside.len() / 2;
@@ -658,13 +664,13 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_are_no_volume_have_no_cube_root() {
+    fn invalid_volumes_have_no_cube_root() {
         assert!((cube_root(27.0) - 3.0).abs() < 1e-14);
         assert!([0.0, -1.0, f64::NAN, f64::INFINITY].iter().all(|&x| cube_root(x).is_nan()));
     }
 
     /// Two cubes of particles side by side, with spacings 1 and 2.
-    fn two() -> (Vec<[f64; 3]>, Vec<f32>) {
+    fn two_cubes() -> (Vec<[f64; 3]>, Vec<f32>) {
         let cube = |first: f64, spacing: f64, count: i32| {
             let at = move |i: i32| (f64::from(i) + 0.5) * spacing;
             (0..count.pow(3)).map(move |i| {
@@ -685,7 +691,7 @@ mod tests {
 
     #[test]
     fn sizes_and_density_are_found_for_any_meaning_of_the_radius() {
-        let (positions, radii) = two();
+        let (positions, radii) = two_cubes();
         for times in [1.0_f32, 1.25, 0.5] {
             let radii: Vec<f32> = radii.iter().map(|radius| radius * times).collect();
             let cloud = Cloud::new(&positions).with("radius", &radii);
@@ -698,8 +704,8 @@ mod tests {
     }
 
     #[test]
-    fn smoothing_lengths_are_sizes_where_masses_differ_but_not_densities_alone() {
-        let (positions, radii) = two();
+    fn smoothing_lengths_are_sizes_only_if_masses_differ() {
+        let (positions, radii) = two_cubes();
         let lengths: Vec<f32> = radii.iter().map(|radius| 2.0 * 2.3 * radius).collect();
         let masses: Vec<f32> = radii.iter().map(|radius| radius.powi(3)).collect();
         let equal = vec![1.0; masses.len()];
@@ -750,7 +756,7 @@ mod tests {
 
     #[test]
     fn invalid_sizes_are_counted_and_a_single_size_is_ignored() {
-        let (positions, mut radii) = two();
+        let (positions, mut radii) = two_cubes();
         (radii[0], radii[1], radii[2], radii[3]) = (0.0, f32::NAN, -1.0, 1e9);
         let cloud = Cloud::new(&positions).with("radius", &radii);
         let columns = SizeChoice::Usual.columns(cloud.attributes()).unwrap().unwrap();

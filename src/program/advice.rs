@@ -1,5 +1,5 @@
-//! Adds advice to errors and warnings: which options help. The library describes the problem, but
-//! does not know the options of the program.
+//! Adds advice to errors and warnings. The library's text describes the problem; the advice names
+//! the options of the program that help.
 
 use bytesize::ByteSize;
 use meniscus::error::{
@@ -39,7 +39,7 @@ pub fn say_error_without_machine(error: &Error) {
     }
 }
 
-/// Prints all errors but the last, which it returns and the caller prints.
+/// Prints all errors except the last one, and returns the last one for the caller to print.
 pub fn all_or_last(mut errors: Vec<Error>) -> Result<(), Error> {
     let last = errors.pop();
     errors.iter().for_each(say_error_without_machine);
@@ -85,7 +85,7 @@ fn in_options(error: &Error) -> Option<String> {
 }
 
 /// Whether a particle file could not be read because its extension is unknown.
-fn is_of_unknown_particles(fault: &ReadFault) -> bool {
+fn has_unknown_particle_extension(fault: &ReadFault) -> bool {
     matches!(fault, ReadFault::UnknownExtension { known } if known.split(", ").any(|known| known == ".bgeo"))
 }
 
@@ -105,7 +105,7 @@ fn advice(error: &Error) -> String {
             }
             _ => "",
         },
-        Error::Read(error) if is_of_unknown_particles(&error.fault) => {
+        Error::Read(error) if has_unknown_particle_extension(&error.fault) => {
             "; if this is a particle file with another extension, use --format"
         }
         Error::Read(error) if matches!(error.fault, ReadFault::Changed) => CHANGED,
@@ -267,8 +267,9 @@ fn shell_word(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
 }
 
-/// The option to suggest when particles are outside the surface.
-fn on_lost(smoothed: bool) -> &'static str {
+/// The option to suggest if particles are outside the surface. `smoothed` is true for
+/// all indicators except cloud.
+fn on_lost_particles(smoothed: bool) -> &'static str {
     if smoothed { "--indicator cloud" } else { "--cell" }
 }
 
@@ -289,7 +290,7 @@ pub fn warning_message(warning: &Warning, options: Option<&ReconstructOptions>) 
             let at_solids =
                 options.is_some_and(|options| !options.settings.solid_files().is_empty());
             let unless = if at_solids { ", unless they are inside a --solid" } else { "" };
-            format!("{warning} ({}){unless}", on_lost(*smoothed))
+            format!("{warning} ({}){unless}", on_lost_particles(*smoothed))
         }
         Warning::BeforeWall(_) => format!("{warning} (--domain)"),
         Warning::ThinSolid { .. } => format!("{warning} (--cell, --solid-offset)"),

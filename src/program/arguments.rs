@@ -44,13 +44,13 @@ impl Arguments {
         let matches = command.try_get_matches_from_mut(arguments);
         let matches = matches.map_err(|error| {
             let subcommand = arguments.get(1).and_then(|word| word.to_str());
-            foreign::explained(error, &mut command, subcommand)
+            foreign::with_tip(error, &mut command, subcommand)
         })?;
         Self::from_arg_matches(&matches).map_err(|error| error.format(&mut command))
     }
 
     /// Returns the commands and options, as clap needs them for help, completions and man pages.
-    /// `pack` hides the options that apply only to surfaces, but still accepts them, so that it can
+    /// `pack` hides the options that apply only to surfaces, but still parses them, so that it can
     /// reject them with a message that gives the reason.
     pub fn as_command() -> clap::Command {
         let is_of_surface = |id: &str| {

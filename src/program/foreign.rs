@@ -60,7 +60,7 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
 const INPUT: &[&str] = &["-i", "--input", "--input-file", "--input-dir"];
 
 /// Adds a tip to an error about an option of another program.
-pub fn explained(mut error: Error, command: &mut Command, subcommand: Option<&str>) -> Error {
+pub fn with_tip(mut error: Error, command: &mut Command, subcommand: Option<&str>) -> Error {
     let Some(command) = subcommand.and_then(|name| command.find_subcommand_mut(name)) else {
         return error;
     };
@@ -68,10 +68,11 @@ pub fn explained(mut error: Error, command: &mut Command, subcommand: Option<&st
         (ErrorKind::UnknownArgument, Some(ContextValue::String(named))) => named.clone(),
         _ => return error,
     };
-    let is_ours = |long: &str| command.get_arguments().any(|arg| arg.get_long() == Some(long));
-    let same = FOREIGN.iter().find(|(names, ours, _)| names.contains(&&*named) && is_ours(ours));
-    let tip = match same {
-        Some((_, ours, what)) => format!("use '--{ours}', which {what}"),
+    let is_option = |long: &str| command.get_arguments().any(|arg| arg.get_long() == Some(long));
+    let equivalent =
+        FOREIGN.iter().find(|(names, option, _)| names.contains(&&*named) && is_option(option));
+    let tip = match equivalent {
+        Some((_, option, what)) => format!("use '--{option}', which {what}"),
         None if INPUT.contains(&&*named) => "inputs need no option; give only their paths".into(),
         None => return error,
     };

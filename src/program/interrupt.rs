@@ -28,7 +28,7 @@ static CANCEL: LazyLock<Cancel> = LazyLock::new(|| {
     #[cfg(unix)]
     ignored.for_each(ignore);
     let cancel = Cancel::new();
-    let _ = UNFINISHED.set(cancel.clone());
+    let _ = HANDLER_CANCEL.set(cancel.clone());
     cancel
 });
 
@@ -57,7 +57,7 @@ fn ignore(signal: libc::c_int) {
 }
 
 /// The cancel handle for signal handlers, set when `CANCEL` is first used.
-static UNFINISHED: OnceLock<Cancel> = OnceLock::new();
+static HANDLER_CANCEL: OnceLock<Cancel> = OnceLock::new();
 
 /// Installs signal handlers for SIGABRT, which the standard library raises when no memory is left,
 /// and for crashes, which may happen in a driver. Also installs a panic hook: if a new thread has
@@ -122,7 +122,7 @@ fn abandon(message: &[u8]) {
     }
     // SAFETY: `write` may be called in a signal handler.
     unsafe { libc::write(libc::STDERR_FILENO, message.as_ptr().cast(), message.len()) };
-    if let Some(cancel) = UNFINISHED.get() {
+    if let Some(cancel) = HANDLER_CANCEL.get() {
         cancel.abandon_soon();
     }
 }
@@ -139,6 +139,6 @@ pub fn handle() -> Cancel {
 }
 
 /// Declares that an interrupt keeps finished frames from now on. Affects only the message.
-pub fn resumable() {
+pub fn set_resumable() {
     RESUMABLE.store(true, Ordering::Relaxed);
 }

@@ -32,7 +32,7 @@ pub struct PreparedRequest {
 }
 
 /// Checks a request for one frame, and prepares its output files.
-pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<PreparedRequest, Error> {
+pub fn prepare(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<PreparedRequest, Error> {
     let notes = options.run.notes();
     match options.parts.parts {
         Some(_) => options.simulation.refuse_for_parts()?,
@@ -52,8 +52,8 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
     let replace = if options.run.overwrite { Replace::Allow } else { Replace::Refuse };
     let request = request.cancel(interrupt::handle());
     let output = request.output(&options.output, replace)?;
-    // `request.output` has created the output's folder. The statistics file may be in the same
-    // folder, so this check comes after it.
+    // The statistics file may be in the output's folder, which `request.output` creates. So this
+    // check must come after `request.output`.
     options.prepare_stats()?;
     let preview = options
         .preview
@@ -64,8 +64,9 @@ pub fn ready(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Prepare
     }
 
     // By default, attributes are not computed if the mesh file cannot store them.
-    let carries = options.settings.attributes.is_some() || output.format().holds_attributes();
-    let request = if carries { request } else { request.attributes([""; 0]) };
+    let keeps_attributes =
+        options.settings.attributes.is_some() || output.format().holds_attributes();
+    let request = if keeps_attributes { request } else { request.attributes([""; 0]) };
     Ok(PreparedRequest { request, output, preview, notes })
 }
 

@@ -64,7 +64,7 @@ impl ReconstructOptions {
     /// limit, the scratch folder and the backend.
     pub fn request(&self) -> Result<Reconstruction, Error> {
         let request = Reconstruction::new().with_settings(self.settings.clone());
-        if self.run.vulkan_given() && !request.uses_backend() {
+        if self.run.is_backend_vulkan() && !request.uses_backend() {
             return Err(Error::Request(
                 "--backend vulkan does not support this --method; use --backend cpu".into(),
             ));

@@ -10,7 +10,7 @@ use meniscus::{Error, Indicator, PartDone, PartNeeds, Parts, PartsPlan, Reconstr
 
 use super::notes::Notes;
 use super::notes::{Verdict, print};
-use super::one_frame::{PreparedRequest, ready, write};
+use super::one_frame::{PreparedRequest, prepare, write};
 use super::options::ReconstructOptions;
 use super::report::{report_cells, report_census, report_stages, warn_all};
 
@@ -35,7 +35,8 @@ pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Ver
     if let Some(what) = refused {
         return Err(Error::Request(what.into()));
     }
-    let PreparedRequest { request, output, preview, notes } = ready(options, &[input.to_owned()])?;
+    let PreparedRequest { request, output, preview, notes } =
+        prepare(options, &[input.to_owned()])?;
     let parts = parts(options, &request, input, count);
     match step {
         PartsStep::Plan => {
@@ -86,7 +87,7 @@ fn plan(options: &ReconstructOptions, parts: &Parts, notes: &Notes) -> Result<Ve
     report_cells(cells, Some(*indicator), *moved_to, notes);
     cells.walls.iter().for_each(|found| notes.say(found.to_string()));
     report_census(&planned.census, notes);
-    print(&listed(&planned))?;
+    print(&describe_parts(&planned))?;
     report_stages(&planned.timings, notes);
     if planned.parts.iter().any(|part| part.needs.is_none()) {
         notes.say(format!("{}: the plan already exists", planned.path.display()));
@@ -95,7 +96,7 @@ fn plan(options: &ReconstructOptions, parts: &Parts, notes: &Notes) -> Result<Ve
 }
 
 /// Describes each part on one line: its number of particles, its memory and its scratch files.
-fn listed(planned: &PartsPlan) -> String {
+fn describe_parts(planned: &PartsPlan) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
         let mut line = format!(

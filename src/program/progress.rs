@@ -68,7 +68,8 @@ impl ProgressBars {
         }
     }
 
-    /// Shows the number of finished frames, and advances the bar by the `bytes` of the last frame.
+    /// Shows the number of finished frames, and advances the bar by the `bytes` of the frame that
+    /// has just finished or failed.
     pub fn advance(&self, done: usize, frames: usize, failed: usize, bytes: u64) {
         let Some((bar, _)) = &self.bars else { return };
         let failed = if failed > 0 { format!(", {failed} failed") } else { String::new() };

@@ -8,7 +8,7 @@ use meniscus::files::{InputFormat, MeshFormat, files};
 use meniscus::{Error, Needs, OpenedFrame, Simulation};
 
 use super::notes::{Verdict, print};
-use super::one_frame::{PreparedRequest, ready, write};
+use super::one_frame::{PreparedRequest, prepare, write};
 use super::options::ReconstructOptions;
 use super::parts;
 use super::report::report_opened;
@@ -49,7 +49,7 @@ fn run_together(options: &ReconstructOptions) -> Result<Verdict, Error> {
 }
 
 fn run_frame(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Verdict, Error> {
-    let PreparedRequest { request, output, preview, notes } = ready(options, inputs)?;
+    let PreparedRequest { request, output, preview, notes } = prepare(options, inputs)?;
     let opened = request.open_together(inputs)?;
     let input = &inputs[0];
     report_opened(inputs, &opened, &notes);

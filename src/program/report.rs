@@ -15,7 +15,7 @@ use super::advice::{spacing_message, warning_message};
 use super::notes::Notes;
 use super::options::ReconstructOptions;
 
-/// A number of things, as text. The plural of `noun` ends in s.
+/// A count with its noun, such as "1 drop" or "2 drops". The plural of `noun` must end in s.
 pub fn counted(number: u64, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
@@ -62,8 +62,8 @@ pub fn report_cells(
     moved_to: Option<[f64; 3]>,
     notes: &Notes,
 ) {
-    let by = indicator.map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
-    notes.say(format!("{cells}{by}"));
+    let indicator = indicator.map_or(String::new(), |kind| format!(", indicator {}", kind.name()));
+    notes.say(format!("{cells}{indicator}"));
     cells.slab.iter().for_each(|slab| notes.say(slab.to_string()));
     cells.warnings.iter().for_each(|warning| notes.warn(&spacing_message(warning)));
     if let Some(corner) = moved_to {
@@ -203,12 +203,12 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
 /// were printed when the spacing was chosen. The exception is the warning that particles contradict
 /// the spacing of a packed frame, which is printed here.
 pub fn warn_all(warnings: &[Warning], options: Option<&ReconstructOptions>, notes: &Notes) {
-    let was_said = |warning: &&Warning| match warning {
+    let was_printed = |warning: &&Warning| match warning {
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {
             *source != SpacingSource::Packed
         }
         warning => matches!(warning, Warning::Spacing(_)),
     };
-    let others = warnings.iter().filter(|warning| !was_said(warning));
+    let others = warnings.iter().filter(|warning| !was_printed(warning));
     others.for_each(|warning| notes.warn(&warning_message(warning, options)));
 }

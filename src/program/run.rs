@@ -75,10 +75,12 @@ impl RunOptions {
             request = request.threads(threads);
         }
         let budget = self.memory.map_or_else(default_memory, |size| MemoryBudget(size.as_u64()));
-        // The output's folder may not exist yet, so scratch files use the nearest existing parent.
-        let beside =
+        // The output's folder may not exist yet, so scratch files use the nearest existing
+        // parent folder.
+        let output_folder =
             output.ancestors().skip(1).find(|folder| folder.is_dir()).unwrap_or(Path::new("."));
-        let scratch = self.scratch.as_deref().or(Some(beside).filter(|_| !is_device(output)));
+        let scratch =
+            self.scratch.as_deref().or(Some(output_folder).filter(|_| !is_device(output)));
         request = request.memory(budget);
         if let Some(folder) = scratch {
             request = request.scratch(folder);
@@ -89,8 +91,8 @@ impl RunOptions {
         })
     }
 
-    /// Whether a Vulkan device was requested.
-    pub fn vulkan_given(&self) -> bool {
+    /// Whether `--backend vulkan` was given.
+    pub fn is_backend_vulkan(&self) -> bool {
         matches!(self.backend, BackendName::Vulkan)
     }
 

@@ -20,7 +20,7 @@ use super::stats::{of_failed, of_frame, of_missing};
 
 /// Runs `meniscus reconstruct` for each simulation in the inputs.
 pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdict, Error> {
-    let mut simulation = options.simulation.of(simulation);
+    let mut simulation = options.simulation.apply_to(simulation);
     if options.run.overwrite {
         simulation = simulation.overwrite();
     }
@@ -44,29 +44,29 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         notes,
         bars: None,
         repeated: BTreeMap::new(),
-        broken: None,
-        bad: false,
+        stats_error: None,
+        is_incomplete: false,
         cancel,
         device,
     };
-    let hear = |event: Event| listener.hear(&event);
+    let on_event = |event: Event| listener.handle_event(&event);
     if options.dry_run {
-        for forecast in simulation.forecast(hear)? {
+        for forecast in simulation.forecast(on_event)? {
             print(&forecast.to_string())?;
         }
         return Ok(listener.verdict());
     }
     let sheet = options.preview.then(|| simulation.sheet()).transpose()?;
-    interrupt::resumable();
+    interrupt::set_resumable();
     if options.simulation.plan {
-        let numbers: Vec<String> = simulation.plan(hear)?.iter().map(i64::to_string).collect();
+        let numbers: Vec<String> = simulation.plan(on_event)?.iter().map(i64::to_string).collect();
         print(&numbers.join("\n"))?;
         return Ok(listener.verdict());
     }
-    let converted = simulation.run(hear);
+    let converted = simulation.run(on_event);
     // If the statistics could not be written, the listener has cancelled the conversion, and this
     // is the error to report.
-    if let Some(error) = listener.broken.take() {
+    if let Some(error) = listener.stats_error.take() {
         return Err(error);
     }
     converted?;
@@ -87,15 +87,15 @@ struct Listener<'a> {
     /// Warnings that usually concern all frames, each with the number of frames that have it.
     repeated: BTreeMap<String, usize>,
     /// The first error while writing the statistics.
-    broken: Option<Error>,
-    bad: bool,
+    stats_error: Option<Error>,
+    is_incomplete: bool,
     cancel: Cancel,
     device: Option<Device>,
 }
 
 impl Listener<'_> {
     fn verdict(&self) -> Verdict {
-        if self.bad { Verdict::Bad } else { Verdict::Good }
+        if self.is_incomplete { Verdict::Bad } else { Verdict::Good }
     }
 
     fn progress(&self) -> Option<&ProgressBars> {
@@ -106,7 +106,7 @@ impl Listener<'_> {
         self.bars.as_ref().map_or(&self.notes, |(_, notes)| notes)
     }
 
-    fn hear(&mut self, event: &Event) {
+    fn handle_event(&mut self, event: &Event) {
         match event {
             Event::SpacingWarning(warning) => self.notes().warn(&spacing_message(warning)),
             Event::Waiting { .. }
@@ -138,7 +138,7 @@ impl Listener<'_> {
             Event::Failed(failed) => self.failed(failed),
             Event::SimulationFailed(error) => {
                 self.notes().error(format!("meniscus: {}", error_message(error)));
-                self.bad = true;
+                self.is_incomplete = true;
             }
             Event::Ended(summary) => {
                 self.progress().into_iter().for_each(ProgressBars::finish);
@@ -151,7 +151,7 @@ impl Listener<'_> {
     /// Appends a line of statistics. If this fails, cancels the conversion.
     fn append(&mut self, record: impl FnOnce() -> serde_json::Value) {
         if let Err(error) = self.options.append_stats(record) {
-            self.broken.get_or_insert(error);
+            self.stats_error.get_or_insert(error);
             self.cancel.cancel();
         }
     }
@@ -234,7 +234,7 @@ impl Listener<'_> {
         report_census(&left_out.census, notes);
         warn_all(summary.lost().as_slice(), None, notes);
         if !summary.is_complete() {
-            self.bad = true;
+            self.is_incomplete = true;
             notes.error(incomplete(summary));
         }
     }
@@ -362,7 +362,7 @@ impl SimulationOptions {
     }
 
     /// Adds these options to the request for a simulation.
-    pub fn of(&self, mut simulation: Simulation) -> Simulation {
+    pub fn apply_to(&self, mut simulation: Simulation) -> Simulation {
         if let Some(start) = self.start {
             simulation = simulation.start(start);
         }

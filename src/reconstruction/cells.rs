@@ -1,5 +1,6 @@
-//! The cell size of a frame, from the first spacing that is known: given, in the file, in a scene
-//! file next to it, or estimated.
+//! The cell size of a frame. It follows from the first known spacing in this order: the spacing
+//! that the caller gave, the spacing in the file, the spacing in a scene file next to it, an
+//! estimate.
 
 use std::fmt;
 use std::ops::Range;
@@ -34,10 +35,10 @@ impl CellSize {
     /// counting and symmetry.
     ///
     /// In cells of two thirds of a spacing, single drops are angular, and their volume depends on
-    /// their position. Cells of half a spacing take hardly longer, because the surface of the bulk
-    /// is computed on the same wide cells. Renders of single drops need cells of a quarter of a
-    /// spacing. The indicators counting and symmetry use two thirds of a spacing, because symmetry
-    /// fails in cells of half a spacing.
+    /// their position. Cells of half a spacing take hardly more time, because the surface of the
+    /// bulk is computed on the same wide cells. Renders of single drops need cells of a quarter of
+    /// a spacing. The indicators counting and symmetry use two thirds of a spacing, because
+    /// symmetry fails in cells of half a spacing.
     pub fn usual(method: Method) -> Self {
         match method.indicator() {
             Some(IndicatorKind::Cloud) | None => Self::Spacings(0.5),
@@ -46,7 +47,7 @@ impl CellSize {
     }
 }
 
-/// The source of particles, as far as it affects their spacing.
+/// Where the spacing of particles can come from, if the caller does not set it.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SpacingHints<'a> {
     /// The file; a scene file may be next to it.

@@ -22,12 +22,12 @@ use crate::io::bytes::Unpacking;
 use crate::io::input::InputFormat;
 use crate::io::output::MeshFormat;
 use crate::particles::AttributeInfo;
-use crate::particles::kind::asks_for_colour;
+use crate::particles::kind::is_colour_or_component_name;
 use crate::particles::sizes::SizeChoice;
 use crate::settings::{Settings, Tank};
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::up::UpAxis;
-use crate::surface::simplify::{BYTES_A_THREAD, Reduction};
+use crate::surface::simplify::{BYTES_PER_THREAD, Reduction};
 use crate::system::memory::default_memory;
 
 use super::builder::Reconstruction;
@@ -35,8 +35,8 @@ use super::threads::Threads;
 use super::warning::Warning;
 use super::{CellSize, SamplingRequest, WallSearch};
 
-/// Maximum number of threads per call: more than the number of cores of any machine, but few enough
-/// to start.
+/// Maximum number of threads per call: more than the number of cores of most machines, but few
+/// enough for the system to start them all.
 const MOST_THREADS: usize = 1024;
 
 /// A request that can be run.
@@ -86,7 +86,7 @@ impl Reconstruction {
         // Each thread keeps a whole chunk in memory while it simplifies the chunk.
         let simplifying = reduction.tolerance.map(|_| threads);
         let least =
-            SMALLEST_BUDGET.0 + simplifying.map_or(0, |threads| BYTES_A_THREAD * threads as u64);
+            SMALLEST_BUDGET.0 + simplifying.map_or(0, |threads| BYTES_PER_THREAD * threads as u64);
         if budget < SMALLEST_BUDGET {
             return Err(Error::LittleMemory { least: SMALLEST_BUDGET.0, simplifying: None });
         }
@@ -135,7 +135,7 @@ fn refuse(
     meaningless: impl FnMut(Setting) -> bool,
     with: impl FnOnce() -> Conflict,
 ) -> Result<(), Error> {
-    match settings.given_otherwise(known, meaningless) {
+    match settings.first_difference(known, meaningless) {
         Some(setting) => Err(SettingConflict { setting, with: with() }.into()),
         None => Ok(()),
     }
@@ -150,8 +150,8 @@ pub(super) fn refuse_named(
     debug_assert!(names.iter().all(|name| Settings::ALL.contains(&Setting::named(name))));
     // A size of `none` can be combined with every other setting.
     let applies = |name| name != "size" || settings.asks_for_sizes();
-    let is_meant = |setting: Setting| names.contains(&setting.name()) && applies(setting.name());
-    refuse(settings, &Settings::default(), is_meant, with)
+    let is_named = |setting: Setting| names.contains(&setting.name()) && applies(setting.name());
+    refuse(settings, &Settings::default(), is_named, with)
 }
 
 fn sampling(settings: &Settings, surfacing: &Surfacing) -> Result<SamplingRequest, Error> {
@@ -250,10 +250,12 @@ fn method(settings: &Settings) -> Result<Method, Error> {
     }
     // Like the isovalue of an indicator, the isovalue of a kernel method is rounded to a step of a
     // 16-bit field.
-    let asked = settings.isovalue().map(Isovalue::new).transpose()?.map(Isovalue::value);
+    let requested_iso = settings.isovalue().map(Isovalue::new).transpose()?.map(Isovalue::value);
     Ok(Method::Kernels(match kernels {
-        KernelMethod::Mueller { iso } => KernelMethod::Mueller { iso: asked.unwrap_or(iso) },
-        KernelMethod::YuTurk { iso } => KernelMethod::YuTurk { iso: asked.unwrap_or(iso) },
+        KernelMethod::Mueller { iso } => {
+            KernelMethod::Mueller { iso: requested_iso.unwrap_or(iso) }
+        }
+        KernelMethod::YuTurk { iso } => KernelMethod::YuTurk { iso: requested_iso.unwrap_or(iso) },
         KernelMethod::ZhuBridson => kernels,
     }))
 }
@@ -299,10 +301,10 @@ impl Settings {
         refuse_named(self, meaningless, || Conflict::Indicator(kind))
     }
 
-    /// The settings, without `method` if it is the default: packed frames use the default method,
-    /// so giving it is no conflict.
+    /// The settings, without `method` if it is the default. Packed frames use the default method,
+    /// so a request that names the default method does not conflict with them.
     pub(super) fn without_default_method(&self) -> Self {
-        Self { method: self.plain().method, ..self.clone() }
+        Self { method: self.normalized().method, ..self.clone() }
     }
 
     /// Whether the settings name any attributes.
@@ -322,7 +324,7 @@ impl Settings {
     /// Rejects settings of the sampling that differ from those with which the frame was sampled.
     pub(crate) fn check_sampled(&self, sampled: &Self) -> Result<(), Error> {
         let needed = |setting: Setting| setting.needs_particles() || setting.name() == "attributes";
-        let given = self.plain().given_otherwise(&sampled.plain(), needed);
+        let given = self.normalized().first_difference(&sampled.normalized(), needed);
         given.map_or(Ok(()), |setting| {
             let is_radius = setting.name() == "spacing" && self.spacing.is_none();
             let setting = if is_radius { Setting::named("radius") } else { setting };
@@ -344,7 +346,8 @@ impl Settings {
         let is_compressed = is_glb || matches!(format, MeshFormat::Vdb { .. });
         let has_y_up = is_glb || matches!(format, MeshFormat::Abc(_));
         let names = self.attribute_names().unwrap_or_default();
-        let colours = format.holds_colours() && names.iter().all(|name| asks_for_colour(name));
+        let colours =
+            format.holds_colours() && names.iter().all(|name| is_colour_or_component_name(name));
         let holds_named = format.holds_attributes() || colours;
         let meaningless = |setting: Setting| match setting.name() {
             "compress" => !is_compressed,
@@ -358,8 +361,8 @@ impl Settings {
     }
 
     /// Rejects named attributes that a format cannot store because of their kind or their number.
-    /// `attributes` returns the attributes of the mesh. It is called only if the names alone do not
-    /// decide.
+    /// `attributes` returns the attributes of the mesh. It is called only if the settings name
+    /// attributes and the format cannot store every attribute.
     pub(crate) fn check_attributes(
         &self,
         path: &Path,

@@ -124,7 +124,7 @@ impl CheckedRequest {
         }
     }
 
-    /// An empty mesh on `grid` with the expected attributes, which every program can load.
+    /// An empty mesh on `grid` that has the attributes `infos`, and normals if they are requested.
     pub(crate) fn empty_mesh(&self, infos: Vec<AttributeInfo>, grid: Grid) -> ExtractedMesh {
         let mesh = Mesh {
             normals: (self.surfacing.normals == Normals::Gradient).then(Vec::new),

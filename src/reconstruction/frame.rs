@@ -26,7 +26,7 @@ use crate::settings::{Settings, Where};
 pub struct Frame {
     pub(super) path: Option<PathBuf>,
     pub(super) up: UpAxis,
-    pub(super) ready: StartedRequest,
+    pub(super) request: StartedRequest,
     pub(super) sampled: FrameSamples,
     pub(super) timings: Timings,
 }
@@ -59,13 +59,14 @@ impl StartedRequest {
             timings.done(chosen.stage());
             checked.sampled(particles, chosen, &mut timings)
         })?;
-        Ok(Frame { path: None, up: UpAxis::Y, ready: self, sampled, timings })
+        Ok(Frame { path: None, up: UpAxis::Y, request: self, sampled, timings })
     }
 }
 
 impl CheckedRequest {
-    /// The particles in memory that satisfy the conditions; `None` without conditions. If there are
-    /// particles but none satisfies the conditions, also returns the fault that says so.
+    /// The particles in memory that satisfy the conditions; `None` if the request has no
+    /// conditions. If there are particles but none satisfies the conditions, also returns a fault
+    /// that reports this.
     pub(crate) fn selected<'a>(
         &self,
         particles: &'a dyn Particles,
@@ -75,7 +76,7 @@ impl CheckedRequest {
             return Ok(None);
         }
         let sieve = select(particles, conditions.iter().flat_map(Where::conditions), || {
-            self.go_on().is_ok()
+            self.check_cancelled().is_ok()
         })?;
         let selected = SelectedParticles::new(particles, sieve);
         let none = (selected.is_empty() && !particles.is_empty())
@@ -118,13 +119,15 @@ impl Frame {
     #[must_use]
     pub fn warnings(&self) -> Vec<Warning> {
         let cells = self.sampled.cells.as_ref();
-        self.ready.threads.install(|| with_spacing_warnings(cells, of_frame(&self.sampled.engine)))
+        self.request
+            .threads
+            .install(|| with_spacing_warnings(cells, of_frame(&self.sampled.engine)))
     }
 
     /// The axis that points up in the particles, as requested or as the file format implies.
     #[must_use]
     pub fn particles_up(&self) -> UpAxis {
-        self.ready.checked.settings.particles_up.unwrap_or(self.up)
+        self.request.checked.settings.particles_up.unwrap_or(self.up)
     }
 
     /// Makes the surface that was requested when the particles were sampled.
@@ -132,7 +135,7 @@ impl Frame {
     /// # Errors
     /// [`Error::Frame`] if there is no surface, or scratch files fail, and [`Error::Cancelled`].
     pub fn surface(&self) -> Result<Surface, Error> {
-        self.extract(&self.ready.checked, self.timings.clone())
+        self.extract(&self.request.checked, self.timings.clone())
     }
 
     /// Makes a surface with other settings, from smoothing to simplifying. Settings that need the
@@ -146,11 +149,12 @@ impl Frame {
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();
-        checked
-            .settings
-            .check_sampled(&Settings { indicator: kind, ..self.ready.checked.settings.clone() })?;
+        checked.settings.check_sampled(&Settings {
+            indicator: kind,
+            ..self.request.checked.settings.clone()
+        })?;
         kind.map_or(Ok(()), |kind| checked.settings.check_indicator_settings(kind))?;
-        checked.resources = self.ready.checked.resources.clone();
+        checked.resources = self.request.checked.resources.clone();
         checked.resources.control = request.control.clone();
         self.extract(&Arc::new(checked), Timings::default())
     }
@@ -161,7 +165,7 @@ impl Frame {
         mut timings: Timings,
     ) -> Result<Surface, Error> {
         timings.skip();
-        let threads = &self.ready.threads;
+        let threads = &self.request.threads;
         let extracted = threads.install(|| {
             let known = checked.calibration.as_ref();
             checked.extract(&self.sampled.engine, known, &mut timings)
@@ -182,7 +186,7 @@ impl Frame {
     /// [`Error::SettingConflict`] for kernel methods, which have no samples, [`Error::Write`] and
     /// [`Error::Cancelled`].
     pub fn pack(&self, output: PackedOutput) -> Result<PackReport, Error> {
-        let StartedRequest { checked, threads } = &self.ready;
+        let StartedRequest { checked, threads } = &self.request;
         let Some(samples) = self.sampled.engine.packable() else {
             let (setting, with) = (Setting::named("method"), Conflict::Packing);
             return Err(SettingConflict { setting, with }.into());

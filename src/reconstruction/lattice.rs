@@ -7,11 +7,11 @@ use crate::field::indicator::IndicatorKind;
 use crate::frame::Sampling;
 use crate::grid::{Domain, Grid};
 use crate::particles::Particles;
-use crate::particles::lattice::sound_origin;
+use crate::particles::lattice::lattice_origin;
 
 /// Moves the grid of a frame whose particles are on a lattice, so that the indicator samples the
 /// lattice like disordered fluid. The grid does not move if the indicator does not depend on the
-/// grid's position: see [`sound_origin`].
+/// grid's position: see [`lattice_origin`].
 pub fn on_sound_grid(particles: &dyn Particles, sampling: Sampling) -> Sampling {
     origin_for_lattice(particles, &sampling)
         .and_then(|origin| moved(&sampling, origin))
@@ -24,7 +24,7 @@ pub fn origin_for_lattice(particles: &dyn Particles, sampling: &Sampling) -> Opt
     match sampling.method.indicator()? {
         IndicatorKind::Cloud => None,
         IndicatorKind::Symmetry | IndicatorKind::Counting => {
-            sound_origin(particles, sampling.grid.origin(), sampling.grid.cell_size())
+            lattice_origin(particles, sampling.grid.origin(), sampling.grid.cell_size())
         }
     }
 }

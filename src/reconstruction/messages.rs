@@ -86,11 +86,11 @@ fn every_message_matches_the_committed_list() {
     if std::env::var_os("MENISCUS_UPDATE").is_some() {
         std::fs::write(&file, &listed).unwrap();
     }
-    let kept = std::fs::read_to_string(&file).unwrap_or_default();
-    for (number, (now, before)) in listed.lines().zip(kept.lines()).enumerate() {
+    let committed = std::fs::read_to_string(&file).unwrap_or_default();
+    for (number, (now, before)) in listed.lines().zip(committed.lines()).enumerate() {
         assert_eq!(now, before, "line {} of {}", number + 1, file.display());
     }
-    assert_eq!(listed.lines().count(), kept.lines().count(), "{}", file.display());
+    assert_eq!(listed.lines().count(), committed.lines().count(), "{}", file.display());
 }
 
 fn wide() -> UnreadPart {
@@ -387,7 +387,7 @@ fn warnings(all: &mut String) {
     let mut text = String::new();
     let unused = CoincidentParticles { particles: 90, most: 91, at: [0.0; 3], alone: true };
     let some = CoincidentParticles { particles: 20, most: 2, at: [0.5; 3], alone: false };
-    let past = |moved| BeyondWall { axis: 'x', wall: 1.0, reach: 1.1, moved };
+    let crossed = |moved| BeyondWall { axis: 'x', wall: 1.0, reach: 1.1, moved };
     let format = MeshFormat::Stl;
     let heat = || "heat".to_owned();
     let block = UnreadPart::Block { name: "walls".into(), holds: "a grid".into() };
@@ -408,8 +408,8 @@ fn warnings(all: &mut String) {
         DeviceFallback(format!("{}; continuing on the CPU", VulkanError::Lost)),
         OnCorners { mean: 0.02, origin: [0.5; 3] },
         Bubbles { iso: 0.6, lowest: 0.55 },
-        BeyondWall(past(Some(1.1))),
-        BeyondWall(past(None)),
+        BeyondWall(crossed(Some(1.1))),
+        BeyondWall(crossed(None)),
         BeforeWall(GapAtWall { axis: 'y', wall: -0.05, end: 0.002 }),
         Lost { lost: 12, of: 1000, smoothed: true },
         Shortfall { shortfall, clouds: false, calibration_frame: Some(1) },

@@ -61,7 +61,7 @@ pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest, WallSearch};
 pub use spacing::{SpacingMistake, SpacingSource, SpacingWarning};
 pub use surface::Surface;
-pub(crate) use surface::made_of;
+pub(crate) use surface::storage_warnings;
 #[cfg(feature = "pictures")]
 pub(crate) use threads::Threads;
 pub use warning::{EmptyReason, Warning};

@@ -12,7 +12,7 @@ use crate::grid::stretch::{Stretch, WantedBins};
 use crate::grid::{MortonKey, block_of_bin};
 use crate::io::ParticleFile;
 use crate::io::output::MeshFormat;
-use crate::surface::simplify::BYTES_A_THREAD;
+use crate::surface::simplify::BYTES_PER_THREAD;
 use crate::system::timings::Timings;
 
 use super::checked::{CheckedRequest, StartedRequest};
@@ -82,13 +82,13 @@ impl OpenedFrame {
     /// [`Error::Frame`] for invalid particles, or too little memory, and [`Error::Cancelled`].
     pub fn needs(&self, format: MeshFormat) -> Result<Option<Needs>, Error> {
         let Input::Particles { file, chosen } = &self.input else { return Ok(None) };
-        let StartedRequest { checked, threads } = &self.ready;
-        let (begun, sampling) = (Instant::now(), &chosen.sampling);
+        let StartedRequest { checked, threads } = &self.request;
+        let (start, sampling) = (Instant::now(), &chosen.sampling);
         let counted = threads.install(|| {
             let counted =
                 CountedFrame::for_surface(&file.particles, sampling, &checked.surfacing, None)?;
             let (census, estimate) = (counted.census(), counted.estimate());
-            let before = self.timings.total() + begun.elapsed().as_secs_f64();
+            let before = self.timings.total() + start.elapsed().as_secs_f64();
             Ok((census, estimate, forecast(checked, file, sampling, counted, before)?))
         });
         let (census, estimate, (triangles, seconds)): (Census, MemoryEstimate, _) =
@@ -97,8 +97,8 @@ impl OpenedFrame {
         let plan = estimate.plan(resources.budget);
         let solids = checked.surfacing.solid_bytes();
         // Simplifying holds each remaining triangle as three 64-bit numbers in two passes.
-        let simplified = [BYTES_A_THREAD * checked.threads as u64, 3 * estimate.surface];
-        let holds = checked.settings.holds_whole_mesh(format);
+        let simplified = [BYTES_PER_THREAD * checked.threads as u64, 3 * estimate.surface];
+        let holds_whole_mesh = checked.settings.holds_whole_mesh(format);
         Ok(Some(Needs {
             census,
             cell_size: sampling.grid.cell_size(),
@@ -108,7 +108,7 @@ impl OpenedFrame {
             scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
             scratch_folder: resources.scratch.clone(),
             simplifying: checked.reduction.tolerance.map(|_| simplified),
-            writing: holds.then(|| match format {
+            writing: holds_whole_mesh.then(|| match format {
                 MeshFormat::Vdb { .. } => LEVEL_SET_BYTES * estimate.in_finest_cells,
                 _ => 3 * estimate.surface,
             }),
@@ -133,25 +133,25 @@ fn forecast(
     // A closed surface has about twice as many triangles as vertices.
     let expected = 2 * counted.estimate().vertices;
     if particles <= 2 * SAMPLE {
-        let whole = tried(checked, counted, Stretch::ALL);
-        return Ok(match accepted(whole)? {
+        let whole = run_trial(checked, counted, Stretch::ALL);
+        return Ok(match trial_or_none(whole)? {
             Some(TrialResult { triangles, seconds: [sampling, meshing], .. }) => {
                 (triangles, Some(before + sampling + meshing))
             }
             None => (expected, None),
         });
     }
-    // Kernel methods have no indicator, so `sight` cannot determine which particles affect a sample
-    // of the blocks, and no sample is measured.
+    // Kernel methods have no indicator, so `deciding_cells` cannot determine which particles affect
+    // a sample of the blocks, and no sample is measured.
     let Some(kind) = sampling.method.indicator() else { return Ok((expected, None)) };
     let stretch = sample(counted.bins());
     drop(counted);
     let wanted = WantedBins {
         stretch,
-        sight: sampling.sight(kind, &checked.surfacing, sampling.coarsest()),
+        deciding: sampling.deciding_cells(kind, &checked.surfacing, sampling.coarsest()),
     };
     let counted = CountedFrame::of_wanted(&file.particles, sampling, &checked.surfacing, wanted)?;
-    let Some(part) = accepted(tried(checked, counted, stretch))? else {
+    let Some(part) = trial_or_none(run_trial(checked, counted, stretch))? else {
         return Ok((expected, None));
     };
     let [of_sampling, of_meshing] = part.seconds;
@@ -164,27 +164,29 @@ fn forecast(
 
 /// Returns `None` for a trial that failed, for example because there is no surface. Only
 /// cancellation gives an error.
-fn accepted(tried: Result<TrialResult, FrameError>) -> Result<Option<TrialResult>, FrameError> {
-    match tried {
+fn trial_or_none(
+    trial: Result<TrialResult, FrameError>,
+) -> Result<Option<TrialResult>, FrameError> {
+    match trial {
         Err(FrameError::Cancelled) => Err(FrameError::Cancelled),
-        tried => Ok(tried.ok()),
+        trial => Ok(trial.ok()),
     }
 }
 
 /// Makes the blocks of `stretch`, and measures the time.
-fn tried(
+fn run_trial(
     checked: &CheckedRequest,
     counted: CountedFrame<'_>,
     stretch: Stretch,
 ) -> Result<TrialResult, FrameError> {
-    let (begun, particles) = (Instant::now(), counted.census().binned);
+    let (start, particles) = (Instant::now(), counted.census().binned);
     let mut timings = Timings::default();
     let engine = Engine::sample_counted(counted, checked.resources.budget, &mut timings)?;
     let calibrated =
         engine.calibrate(&checked.surfacing, checked.calibration.as_ref(), &mut timings)?;
-    let sampled = begun.elapsed();
+    let sampled = start.elapsed();
     let spool = calibrated.within(stretch).blocks(&mut timings)?;
-    let seconds = [sampled, begun.elapsed() - sampled].map(|time| time.as_secs_f64());
+    let seconds = [sampled, start.elapsed() - sampled].map(|time| time.as_secs_f64());
     Ok(TrialResult { particles, triangles: spool.triangles(), seconds })
 }
 
@@ -199,12 +201,12 @@ fn sample(bins: impl Iterator<Item = (MortonKey, usize)> + Clone) -> Stretch {
         2 * before < all
     });
     let Some((bin, count)) = from_the_middle.next() else { return Stretch::ALL };
-    let (first, mut held) = (block(bin), count);
+    let (first, mut particles) = (block(bin), count);
     for (bin, count) in from_the_middle {
-        if held >= SAMPLE && block(bin) > first {
+        if particles >= SAMPLE && block(bin) > first {
             return Stretch { first, end: block(bin) };
         }
-        held += count;
+        particles += count;
     }
     Stretch { first, end: Stretch::ALL.end }
 }

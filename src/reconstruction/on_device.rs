@@ -12,7 +12,7 @@ use super::checked::refuse_named;
 
 /// Settings that cannot be combined with particles on a device, because they are implemented only
 /// on the host, or apply only when the mesh is simplified or written.
-const OF_HOST: [&str; 16] = [
+const HOST_SETTINGS: [&str; 16] = [
     "size",
     "method",
     "periodic",
@@ -42,7 +42,7 @@ impl Reconstruction {
     /// and [`Error::Frame`] for cells that are too fine for the spacing.
     pub fn on_device(&self) -> Result<DeviceRequest, Error> {
         let settings = self.settings.without_default_method();
-        refuse_named(&settings, &OF_HOST, || Conflict::OnDevice)?;
+        refuse_named(&settings, &HOST_SETTINGS, || Conflict::OnDevice)?;
         if settings.domain == Some(Tank::Auto) {
             return Err(SettingConflict {
                 setting: Setting::named("domain"),

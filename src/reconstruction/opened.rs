@@ -23,9 +23,9 @@ use super::{Cells, ChosenSampling, FoundWalls, Output, SamplingRequest, SpacingH
 #[derive(Debug)]
 pub struct OpenedFrame {
     path: PathBuf,
-    pub(super) ready: StartedRequest,
+    pub(super) request: StartedRequest,
     pub(super) input: Input,
-    /// Walls that meniscus found, if the settings do not request found walls.
+    /// Walls that meniscus found, if the settings neither set walls nor request found walls.
     hint: Option<FoundWalls>,
     gaps: Vec<GapAtWall>,
     pub(super) timings: Timings,
@@ -62,11 +62,12 @@ impl StartedRequest {
             }
             checked.check_indicator()?;
             let file = open_joined(paths, checked.wanted(), checked.unpacking())?;
-            let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
+            let file = file.require_selected().map_err(|fault| ReadError::new(path, fault))?;
             timings.done("open");
             let source = SpacingHints { path: Some(path), spacing: file.spacing };
-            let chosen = checked.hinted().choose_and_plan(&file.particles, source);
-            let chosen = chosen.map_err(|error| error.of_file(path).of_left_out(&file.left_out))?;
+            let chosen = checked.with_wall_search().choose_and_plan(&file.particles, source);
+            let chosen =
+                chosen.map_err(|error| error.of_file(path).with_skipped_part(&file.left_out))?;
             timings.done(chosen.stage());
             Ok::<_, Error>(Input::Particles { file: Box::new(file), chosen: Box::new(chosen) })
         };
@@ -87,14 +88,14 @@ impl StartedRequest {
                 (Some(_), None) => {}
             }
         }
-        Ok(OpenedFrame { path: path.to_owned(), ready: self, input, hint, gaps, timings })
+        Ok(OpenedFrame { path: path.to_owned(), request: self, input, hint, gaps, timings })
     }
 }
 
 impl CheckedRequest {
-    /// Returns the request, with a search for walls unless it has a periodic box. In a domain, the
-    /// walls that are found show whether the fluid reaches the walls of the domain.
-    fn hinted(&self) -> Cow<'_, Self> {
+    /// Returns the request, with a search for walls unless it has a periodic box. If the request
+    /// sets a domain, the found walls show whether the fluid reaches the walls of the domain.
+    fn with_wall_search(&self) -> Cow<'_, Self> {
         let request = &self.sampling;
         if request.search != WallSearch::Never || request.periodic.is_some() {
             return Cow::Borrowed(self);
@@ -109,7 +110,7 @@ impl CheckedRequest {
     }
 
     /// Returns an error if the work was cancelled.
-    pub(crate) fn go_on(&self) -> Result<(), Error> {
+    pub(crate) fn check_cancelled(&self) -> Result<(), Error> {
         Ok(self.resources.control.cancel.go_on()?)
     }
 
@@ -183,7 +184,7 @@ impl OpenedFrame {
         }
     }
 
-    /// The chosen cells; `None` for a packed frame, which has its own.
+    /// The chosen cells; `None` for a packed frame, whose cells were chosen when it was packed.
     #[must_use]
     pub fn cells(&self) -> Option<&Cells> {
         match &self.input {
@@ -193,13 +194,13 @@ impl OpenedFrame {
     }
 
     /// The walls that were found, and whether the fluid ends at them: true if the request asks for
-    /// found walls, false if the walls are only a hint. `None` if meniscus did not search for
-    /// walls.
+    /// found walls, false if the walls are only a hint. `None` if meniscus found no walls, if it
+    /// did not search for walls, or if the request sets walls.
     #[must_use]
     pub fn walls(&self) -> Option<(&FoundWalls, bool)> {
-        let asked_for = self.cells().and_then(|cells| cells.walls.as_ref());
+        let requested = self.cells().and_then(|cells| cells.walls.as_ref());
         let hint = self.hint.as_ref().map(|walls| (walls, false));
-        asked_for.map(|walls| (walls, true)).or(hint)
+        requested.map(|walls| (walls, true)).or(hint)
     }
 
     /// The walls of the domain that the fluid almost reaches, so that the surface there can be
@@ -236,7 +237,7 @@ impl OpenedFrame {
     /// # Errors
     /// [`Error::SettingConflict`], and [`Error::Frame`] for values that a mesh cannot store.
     pub fn check_output(&self, output: &Output) -> Result<(), Error> {
-        let StartedRequest { checked, threads } = &self.ready;
+        let StartedRequest { checked, threads } = &self.request;
         let attributes = || match &self.input {
             Input::Packed(_) => Ok(Vec::new()),
             Input::Particles { file, chosen } => {
@@ -257,10 +258,10 @@ impl OpenedFrame {
     /// [`Error::Frame`] for particles that cannot be placed on the grid or do not fit into the
     /// memory limit, and [`Error::Cancelled`].
     pub fn sample(self) -> Result<Frame, Error> {
-        let Self { path, ready, input, mut timings, .. } = self;
-        let checked = &ready.checked;
+        let Self { path, request, input, mut timings, .. } = self;
+        let checked = &request.checked;
         let up = checked.settings.usual_up(&path);
-        let sampled = ready.threads.install(|| match input {
+        let sampled = request.threads.install(|| match input {
             Input::Packed(packed) => {
                 let engine =
                     Engine::from_packed(*packed, &checked.surfacing, checked.resources.clone());
@@ -271,6 +272,6 @@ impl OpenedFrame {
             }
         });
         let sampled = sampled.map_err(|error| error.of_file(&path))?;
-        Ok(Frame { path: Some(path), up, ready, sampled, timings })
+        Ok(Frame { path: Some(path), up, request, sampled, timings })
     }
 }

@@ -32,7 +32,7 @@ pub(crate) struct TemporaryOutput {
 #[derive(Debug)]
 pub struct Output {
     file: MeshOutput,
-    held: TemporaryOutput,
+    temporary: TemporaryOutput,
     path: PathBuf,
 }
 
@@ -41,7 +41,7 @@ pub struct Output {
 #[derive(Debug)]
 pub struct PackedOutput {
     file: WholeFile,
-    held: TemporaryOutput,
+    temporary: TemporaryOutput,
     path: PathBuf,
 }
 
@@ -114,7 +114,7 @@ impl Output {
         settings.check_format(path, file.format())?;
         Ok(Self {
             file,
-            held: TemporaryOutput { unfinished, _folders: folders },
+            temporary: TemporaryOutput { unfinished, _folders: folders },
             path: path.to_owned(),
         })
     }
@@ -154,7 +154,7 @@ impl Output {
         let mesh = MeteredMesh::new(mesh, readings, control, Stage::Writing);
         let file =
             control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(&mesh, width)?))?;
-        Ok((file, self.held))
+        Ok((file, self.temporary))
     }
 
     /// Writes a mesh into the temporary file, and renames that file to its final name.
@@ -164,8 +164,8 @@ impl Output {
         width: CoordinateWidth,
         control: &Control,
     ) -> Result<u64, Error> {
-        let (file, held) = self.fill(mesh, width, control)?;
-        keep(file, &held)
+        let (file, temporary) = self.fill(mesh, width, control)?;
+        rename_unless_cancelled(file, &temporary)
     }
 }
 
@@ -185,7 +185,7 @@ impl PackedOutput {
             cancel.guard(prepare, |(file, folders)| file.leftovers(folders))?;
         Ok(Self {
             file,
-            held: TemporaryOutput { unfinished, _folders: folders },
+            temporary: TemporaryOutput { unfinished, _folders: folders },
             path: path.to_owned(),
         })
     }
@@ -202,13 +202,13 @@ impl PackedOutput {
         content: impl FnOnce(&mut dyn Write) -> io::Result<()> + Send,
     ) -> Result<u64, Error> {
         let file = control.during(Stage::Writing, || Ok::<_, Error>(self.file.fill(content)?))?;
-        keep(file, &self.held)
+        rename_unless_cancelled(file, &self.temporary)
     }
 }
 
 /// Renames a temporary file to its final name, unless the work was cancelled.
-fn keep(file: FilledFile, held: &TemporaryOutput) -> Result<u64, Error> {
-    if held.unfinished.is_cancelled() {
+fn rename_unless_cancelled(file: FilledFile, temporary: &TemporaryOutput) -> Result<u64, Error> {
+    if temporary.unfinished.is_cancelled() {
         return Err(Error::Cancelled);
     }
     Ok(file.keep()?)

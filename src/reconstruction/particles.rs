@@ -6,7 +6,7 @@ use crate::error::Error;
 use crate::io::ParticleFile;
 use crate::io::bytes::Unpacking;
 use crate::io::input::open_wanted;
-use crate::io::scene::spacing_beside;
+use crate::io::scene::spacing_from_scene;
 use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::particles::sizes::SizeChoice;
 use crate::settings::Settings;
@@ -37,6 +37,6 @@ pub fn open_particles(path: impl AsRef<Path>, settings: &Settings) -> Result<Par
         ..settings.wanted(&SizeChoice::Ignored)
     };
     let mut file = open_wanted(path, wanted, unpacking)?;
-    file.spacing = file.spacing.or_else(|| spacing_beside(path).map(|(spacing, _)| spacing));
+    file.spacing = file.spacing.or_else(|| spacing_from_scene(path).map(|(spacing, _)| spacing));
     Ok(file)
 }

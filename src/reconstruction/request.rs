@@ -12,12 +12,12 @@ use crate::field::spacing::{
     ALL, CubeSample, Cubes, EvenSample, Evidence, NoEstimate, Plane, SampleSurvey, SpacingDraft,
     SpacingEstimate, evidence, for_each_chunk, survey,
 };
-use crate::field::walls::{BeyondWall, Ends, bounds_held, common, holding, spacings_at_sides};
+use crate::field::walls::{BeyondWall, Ends, adapted, bounds_on_grid, common, spacings_at_sides};
 use crate::frame::{FrameError, Method, Resources, Sampling, Surfacing};
 use crate::grid::units::positive_length;
 use crate::grid::{CELL_LIMIT, Domain, DomainError, Grid, Periodic, Walls};
 use crate::io::UpAxis;
-use crate::io::scene::{spacing_beside, tank_beside};
+use crate::io::scene::{spacing_from_scene, tank_from_scene};
 use crate::particles::mixture::mixture;
 use crate::particles::sizes::{FoundSizes, SizeAttributes, SizeChoice, SizeFault, Sizes};
 use crate::particles::{Bounds, Particles, bounds};
@@ -107,10 +107,10 @@ impl ChosenSampling {
 
 /// If there are more particles than this, walls are found only on request, because finding them
 /// needs another reading.
-const MOST_HINTED: usize = 1 << 24;
+const MOST_PARTICLES_FOR_HINT: usize = 1 << 24;
 
 /// A callback that receives the positions of all particles, in pieces and in any order.
-type LookAtAll<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
+type PositionVisitor<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
 
 /// The spacing for which `cell_size` is the usual cell size.
 fn usual_spacing(cell_size: f64) -> f64 {
@@ -137,7 +137,7 @@ fn corrected_by_neighbours(
 }
 
 /// Returns an error if reading the particles was cancelled.
-fn go_on(particles: &dyn Particles) -> Result<(), Error> {
+fn check_cancelled(particles: &dyn Particles) -> Result<(), Error> {
     if particles.goes_on() { Ok(()) } else { Err(Error::Cancelled) }
 }
 
@@ -203,13 +203,13 @@ impl SamplingRequest {
     ) -> (Self, Vec<BeyondWall>) {
         let found =
             found.filter(|found| self.search == WallSearch::Walls && !found.walls.is_open());
-        let bounds = found.and_then(|_| bounds_held(particles, grid));
+        let bounds = found.and_then(|_| bounds_on_grid(particles, grid));
         let (Some(FoundWalls { walls, spacings, .. }), Some(bounds)) = (found, bounds) else {
             return (self.in_walls(found.map(|found| &found.walls)), Vec::new());
         };
         let of_all = || [[spacing.unwrap_or_else(|| grid.cell_size()); 2]; 3];
-        let (holding, past) = holding(walls, &bounds, spacings.unwrap_or_else(of_all));
-        (self.in_walls(Some(&holding)), past)
+        let (adapted, crossed) = adapted(walls, &bounds, spacings.unwrap_or_else(of_all));
+        (self.in_walls(Some(&adapted)), crossed)
     }
 
     /// Measures where a frame's particles end. `known` is their bounding box, if it is known.
@@ -228,7 +228,7 @@ impl SamplingRequest {
 
     /// The walls that `frames`, and a scene file next to `path`, indicate.
     pub fn walls_of(&self, frames: &[Ends], path: Option<&Path>) -> FoundWalls {
-        let scene = path.and_then(tank_beside);
+        let scene = path.and_then(tank_from_scene);
         let usual = path.filter(|path| usual_up(path) == UpAxis::Z).map(|_| 2);
         let known = scene.as_ref().map(|(walls, _)| walls);
         let (mut walls, by_scene) = common(frames, known, self.up.or(usual));
@@ -248,7 +248,7 @@ impl SamplingRequest {
     /// The spacing from the caller, the file, or a scene file next to it.
     fn given(&self, from: SpacingHints<'_>) -> Option<(f64, SpacingSource)> {
         let scene = || {
-            let (spacing, path) = spacing_beside(from.path?)?;
+            let (spacing, path) = spacing_from_scene(from.path?)?;
             Some((spacing, SpacingSource::Scene(path)))
         };
         let of_caller = self.spacing.map(|spacing| (spacing, SpacingSource::Given));
@@ -256,33 +256,34 @@ impl SamplingRequest {
     }
 
     /// Chooses the cells for particles. If the cell size is given as a length, the spacing may stay
-    /// unknown, except for kernel methods. The filters are then as wide as for particles one cell
-    /// apart.
+    /// unknown, except for kernel methods. If the spacing is unknown, the filters are as wide as
+    /// for particles one cell apart.
     pub fn cells(&self, particles: &dyn Particles, from: SpacingHints<'_>) -> Result<Cells, Error> {
-        let read = |_, look: LookAtAll<'_>| {
-            for_each_chunk(particles, look);
+        let read = |_, visit: PositionVisitor<'_>| {
+            for_each_chunk(particles, visit);
             Some(())
         };
         Ok(self.cells_while(particles, from, read)?.0)
     }
 
-    /// Chooses the cells for particles from their sizes, or else like [`cells_by`](Self::cells_by).
-    /// Also warns if a boundary is among the particles, and finds walls if requested.
+    /// Chooses the cells from the particles' sizes if an attribute gives several sizes, and
+    /// otherwise like [`cells_by`](Self::cells_by). Also warns if some of the particles look like a
+    /// boundary, and finds walls if requested.
     fn cells_while<T>(
         &self,
         particles: &dyn Particles,
         from: SpacingHints<'_>,
-        mut read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
+        mut read: impl FnMut(f64, PositionVisitor<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
-        let seeks_walls = self.seeks_walls(particles.len());
+        let searches_walls = self.searches_walls(particles.len());
         let mut known = None;
-        let read_with_bounds = |size: f64, look: LookAtAll<'_>| {
-            if !seeks_walls {
-                return read(size, look);
+        let read_with_bounds = |size: f64, visit: PositionVisitor<'_>| {
+            if !searches_walls {
+                return read(size, visit);
             }
             let all = Mutex::new(Bounds::NONE);
             let done = read(size, &|positions| {
-                look(positions);
+                visit(positions);
                 let own = Bounds::of(positions);
                 let mut all = all.lock().unwrap_or_else(PoisonError::into_inner);
                 *all = all.joined(own);
@@ -299,11 +300,11 @@ impl SamplingRequest {
             }
         };
         cells.warnings.extend(wrong.flatten().into_iter().chain(invalid));
-        go_on(particles)?;
+        check_cancelled(particles)?;
         if !cells.warnings.iter().any(|warning| matches!(warning, SpacingWarning::Mixed(_))) {
             cells.warnings.extend(mixture(particles).map(SpacingWarning::Mixed));
         }
-        if seeks_walls {
+        if searches_walls {
             let ends = self.ends(particles, known, &cells)?;
             // If the caller gave walls, the scene file is not used: only the planes at which the
             // particles end matter.
@@ -315,10 +316,10 @@ impl SamplingRequest {
         Ok((cells, done))
     }
 
-    fn seeks_walls(&self, particles: usize) -> bool {
+    fn searches_walls(&self, particles: usize) -> bool {
         match self.search {
             WallSearch::Never => false,
-            WallSearch::Hint => particles <= MOST_HINTED,
+            WallSearch::Hint => particles <= MOST_PARTICLES_FOR_HINT,
             WallSearch::Walls => true,
         }
     }
@@ -328,7 +329,7 @@ impl SamplingRequest {
     /// particles, walls need two readings.
     pub fn readings(&self, particles: usize) -> usize {
         let for_walls = if particles > ALL { 1 } else { 2 };
-        if self.seeks_walls(particles) { 2 + for_walls } else { 2 }
+        if self.searches_walls(particles) { 2 + for_walls } else { 2 }
     }
 
     /// The sizes of the particles, if an attribute holds them, and a warning if the sizes look
@@ -407,7 +408,7 @@ impl SamplingRequest {
         &self,
         particles: &dyn Particles,
         from: SpacingHints<'_>,
-        mut read: impl FnMut(f64, LookAtAll<'_>) -> Option<T>,
+        mut read: impl FnMut(f64, PositionVisitor<'_>) -> Option<T>,
     ) -> Result<(Cells, Option<T>), Error> {
         let is_many = particles.len() > ALL;
         let size = |spacing: f64| match self.cell_size() {
@@ -420,22 +421,25 @@ impl SamplingRequest {
             // and does not mention a second resolution.
             let is_scene = matches!(source, SpacingSource::Scene(_));
             let in_cubes = CubeSample::new(Cubes::for_spacing(spacing), particles.len());
-            let look = |positions: &[[f64; 3]]| {
+            let visit = |positions: &[[f64; 3]]| {
                 in_cubes.add(positions);
                 if is_scene {
                     share.add(positions);
                 }
             };
-            let done = if is_many { read(size(spacing), &look) } else { None };
-            let look = match done {
+            let done = if is_many { read(size(spacing), &visit) } else { None };
+            let surveyed = match done {
                 Some(_) => SampleSurvey::of(in_cubes.sample(), spacing),
                 None => survey(particles, spacing),
             };
-            go_on(particles)?;
+            check_cancelled(particles)?;
             let taken = (is_scene && done.is_some()).then(|| share.taken());
             let draft = taken.filter(|taken| taken.larger().is_none()).and_then(SpacingDraft::of);
-            let evidence = draft.zip(look.clone()).map(|(draft, look)| draft.with(look.neighbours));
-            return Ok((self.cells_for_given(particles, spacing, source, look, evidence)?, done));
+            let evidence = draft
+                .zip(surveyed.clone())
+                .map(|(draft, surveyed)| draft.with(surveyed.neighbours));
+            let cells = self.cells_for_given(particles, spacing, source, surveyed, evidence)?;
+            return Ok((cells, done));
         }
         if !is_many {
             return Ok((self.cells_by_evidence(particles, from, evidence(particles))?, None));
@@ -447,11 +451,11 @@ impl SamplingRequest {
         };
         if let Some(usual) = usual {
             let in_cubes = CubeSample::new(Cubes::for_spacing(usual), particles.len());
-            let look = |positions: &[[f64; 3]]| {
+            let visit = |positions: &[[f64; 3]]| {
                 share.add(positions);
                 in_cubes.add(positions);
             };
-            done = read(size(usual), &look);
+            done = read(size(usual), &visit);
             if done.is_none() {
                 return Ok((self.cells(particles, from)?, None));
             }
@@ -459,7 +463,7 @@ impl SamplingRequest {
         } else {
             for_each_chunk(particles, |positions| share.add(positions));
         }
-        go_on(particles)?;
+        check_cancelled(particles)?;
         let taken = share.taken();
         let draft = if taken.larger().is_none() { SpacingDraft::of(taken) } else { None };
         let Some(draft) = draft else {
@@ -470,7 +474,7 @@ impl SamplingRequest {
             done = read(size(known), &|positions| in_cubes.add(positions));
             sample = done.is_some().then(|| in_cubes.sample());
         }
-        go_on(particles)?;
+        check_cancelled(particles)?;
         let suits = usual.is_none_or(|usual| draft.suits(usual));
         let evidence = match sample.filter(|sample| suits && !sample.positions.is_empty()) {
             Some(sample) => Some(draft.with_sample(sample)),
@@ -512,7 +516,8 @@ impl SamplingRequest {
     fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
         let middle = middle.filter(|_| self.origin.is_none())?;
         let reach = f64::from(CELL_LIMIT) / 2.0 * size;
-        // Particles outside the walls do not count.
+        // Particles outside the walls are left out, so the middle between two opposite walls is
+        // used instead of the middle of all particles.
         let middle = self.walls.map_or(middle, |[lo, hi]| {
             let walled = (lo + hi) / 2.0;
             DVec3::from(
@@ -533,29 +538,30 @@ impl SamplingRequest {
         particles: &dyn Particles,
         spacing: f64,
         source: SpacingSource,
-        look: Option<SampleSurvey>,
-        evidence_at_hand: Option<Evidence>,
+        surveyed: Option<SampleSurvey>,
+        known_evidence: Option<Evidence>,
     ) -> Result<Cells, Error> {
-        let all_is_well = look.as_ref().is_some_and(|look| {
-            let coarse =
-                look.place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
-            look.place.plane.is_none() && !coarse && !is_suspicious(&look.neighbours, spacing)
+        let is_confirmed = surveyed.as_ref().is_some_and(|surveyed| {
+            let SampleSurvey { place, neighbours } = surveyed;
+            let coarse = place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
+            place.plane.is_none() && !coarse && !is_suspicious(neighbours, spacing)
         });
         // A spacing from a scene file must be checked: see `cells_by`.
         let is_scene = matches!(source, SpacingSource::Scene(_));
-        let evidence = match evidence_at_hand {
-            None if !all_is_well || is_scene => evidence(particles),
-            at_hand => at_hand,
+        let evidence = match known_evidence {
+            None if !is_confirmed || is_scene => evidence(particles),
+            known => known,
         };
         let place = evidence
             .as_ref()
             .map(|evidence| evidence.place)
-            .or(look.as_ref().map(|look| look.place));
+            .or(surveyed.as_ref().map(|surveyed| surveyed.place));
         let (middle, plane) =
             (place.map(|place| place.middle), place.and_then(|place| place.plane));
         let mut cells = self.cells_of(spacing, source.clone(), middle, plane)?;
         if let Some(evidence) = &evidence {
-            let at_scale = look.as_ref().map_or(&evidence.neighbours, |look| &look.neighbours);
+            let at_scale =
+                surveyed.as_ref().map_or(&evidence.neighbours, |surveyed| &surveyed.neighbours);
             cells.warnings = SpacingWarning::of_given(spacing, &source, at_scale, evidence);
         }
         Ok(cells)
@@ -569,7 +575,7 @@ impl SamplingRequest {
         evidence: Option<Evidence>,
     ) -> Result<Cells, Error> {
         let path = || from.path.map(Path::to_owned);
-        go_on(particles)?;
+        check_cancelled(particles)?;
         if particles.is_empty() {
             return Err(Error::Frame {
                 path: path(),
@@ -650,12 +656,12 @@ impl SamplingRequest {
     ) -> Result<ChosenSampling, Error> {
         // The count is returned with the grid on which it was made. A failure is ignored here,
         // because it occurs again later, where it is reported.
-        let count = |cell_size: f64, look: LookAtAll<'_>| {
+        let count = |cell_size: f64, visit: PositionVisitor<'_>| {
             let grid = self.grid(cell_size).ok()?;
             let domain = self.domain(&grid).ok()?;
             let room = CountingRoom::within(resources.budget.0);
             let plan =
-                BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, look);
+                BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, visit);
             Some((grid, plan.ok()?))
         };
         let is_settled = self.periodic.is_none() && self.search != WallSearch::Walls;

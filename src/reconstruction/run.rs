@@ -4,7 +4,7 @@ use std::path::Path;
 
 use crate::error::Error;
 use crate::io::mnf::is_packed;
-use crate::io::whole::{Replace, sweep_beside};
+use crate::io::whole::{Replace, sweep_folder_of};
 use crate::particles::Particles;
 
 use super::builder::Reconstruction;
@@ -82,7 +82,7 @@ impl Reconstruction {
     /// # Errors
     /// [`Error::Write`], and [`Error::SettingConflict`] for settings that the format cannot store.
     pub fn output(&self, path: impl AsRef<Path>, replace: Replace) -> Result<Output, Error> {
-        sweep_beside(path.as_ref());
+        sweep_folder_of(path.as_ref());
         Output::prepare(&self.settings, path.as_ref(), replace, &self.control.cancel)
     }
 
@@ -95,7 +95,7 @@ impl Reconstruction {
         path: impl AsRef<Path>,
         replace: Replace,
     ) -> Result<PackedOutput, Error> {
-        sweep_beside(path.as_ref());
+        sweep_folder_of(path.as_ref());
         PackedOutput::prepare(path.as_ref(), replace, &self.control.cancel)
     }
 }

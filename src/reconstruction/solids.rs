@@ -16,14 +16,14 @@ use super::checked::CheckedRequest;
 use super::warning::Warning;
 
 /// Minimum memory, in bytes, to read a mesh file, per byte of the file.
-const BYTES_A_BYTE: u64 = 2;
-/// Computed distances from solids may take 1 / `KEPT_PART` of the memory that the solids leave
-/// free, but at most `MOST_KEPT` bytes.
-const KEPT_PART: u64 = 32;
-const MOST_KEPT: u64 = 64 << 20;
-/// The maximum, in bytes, of computed distances from the solids of a single frame. It is smaller
-/// than `MOST_KEPT`, because several frames are made at a time, each with its own solids.
-const MOST_KEPT_IN_FRAME: u64 = 2 << 20;
+const MEMORY_PER_FILE_BYTE: u64 = 2;
+/// The cache of computed distances from solids may take 1 / `CACHE_DIVISOR` of the memory that the
+/// solids leave free, but at most `MOST_CACHE` bytes.
+const CACHE_DIVISOR: u64 = 32;
+const MOST_CACHE: u64 = 64 << 20;
+/// The maximum size, in bytes, of the cache for the solids of a single frame. It is smaller than
+/// `MOST_CACHE`, because several frames are made at a time, each with its own solids.
+const MOST_CACHE_IN_FRAME: u64 = 2 << 20;
 
 impl Settings {
     /// The combined stamp of an input and of the solids.
@@ -48,7 +48,7 @@ impl CheckedRequest {
         if paths.is_empty() {
             return Ok(self);
         }
-        self.started()?.install(|| self.with_solids(&paths, MOST_KEPT))
+        self.started()?.install(|| self.with_solids(&paths, MOST_CACHE))
     }
 
     /// Adds the solids of a single frame.
@@ -56,20 +56,20 @@ impl CheckedRequest {
     /// # Errors
     /// The errors of [`at_solids`](Self::at_solids).
     pub(crate) fn at_solids_of_frame(self, paths: &[PathBuf]) -> Result<Self, Error> {
-        self.with_solids(paths, MOST_KEPT_IN_FRAME)
+        self.with_solids(paths, MOST_CACHE_IN_FRAME)
     }
 
-    /// Reads solids, which keep at most `most_kept` bytes of computed distances. The memory of the
-    /// solids counts against the budget.
+    /// Reads solids, which cache at most `most_cache` bytes of computed distances. The memory of
+    /// the solids counts against the budget.
     ///
     /// # Errors
     /// [`Error::Read`] for a file that cannot be read, [`Error::Solid`] for a mesh that cannot be a
     /// solid, [`Error::Unit`] for an invalid offset, and [`Error::LittleMemory`] if the solids do
     /// not fit into the memory limit.
-    fn with_solids(mut self, paths: &[PathBuf], most_kept: u64) -> Result<Self, Error> {
+    fn with_solids(mut self, paths: &[PathBuf], most_cache: u64) -> Result<Self, Error> {
         let offset = self.settings.solid_offset.map(SolidOffset::new).transpose()?;
         let room = self.resources.budget.0.saturating_sub(SMALLEST_BUDGET.0);
-        let refuse_beyond_room = |bytes: u64| {
+        let check_room = |bytes: u64| {
             let least = SMALLEST_BUDGET.0.saturating_add(bytes);
             if bytes > room {
                 Err(Error::LittleMemory { least, simplifying: None })
@@ -80,14 +80,14 @@ impl CheckedRequest {
         let mut meshes = Vec::new();
         for path in paths {
             let bytes = std::fs::metadata(path).map_or(0, |file| file.len());
-            refuse_beyond_room(bytes.saturating_mul(BYTES_A_BYTE))?;
+            check_room(bytes.saturating_mul(MEMORY_PER_FILE_BYTE))?;
             meshes.push(read_mesh(path)?);
         }
         let solid = Solid::new(meshes, offset.unwrap_or(SolidOffset::DEFAULT))
             .map_err(|(number, fault)| Error::Solid { path: paths[number].clone(), fault })?;
-        refuse_beyond_room(solid.bytes())?;
-        let kept = ((room - solid.bytes()) / KEPT_PART).min(most_kept);
-        let solid = solid.keeping_distances(kept);
+        check_room(solid.bytes())?;
+        let cache = ((room - solid.bytes()) / CACHE_DIVISOR).min(most_cache);
+        let solid = solid.keeping_distances(cache);
         self.resources.budget = MemoryBudget(self.resources.budget.0 - solid.bytes());
         let turned = solid.turned().iter();
         self.inverted_solids =
@@ -101,8 +101,9 @@ impl CheckedRequest {
     pub(super) fn solid_warnings(&self, facts: &FrameFacts) -> Vec<Warning> {
         let Some(solid) = &self.surfacing.solid else { return Vec::new() };
         let cell_size = facts.grid.cell_size();
-        let wider = 2.0 * solid.offset() * facts.spacing.unwrap_or(cell_size);
-        let thickness = solid.thickness().iter().map(|thickness| (thickness + wider).max(0.0));
+        let both_offsets = 2.0 * solid.offset() * facts.spacing.unwrap_or(cell_size);
+        let thickness =
+            solid.thickness().iter().map(|thickness| (thickness + both_offsets).max(0.0));
         let thin = self.solid_files.iter().zip(thickness);
         let thin = thin.filter(|&(_, thickness)| thickness < cell_size).map(|(path, thickness)| {
             Warning::ThinSolid { path: path.clone(), thickness, cell_size }

@@ -154,12 +154,13 @@ const TOO_SMALL: f64 = 0.78;
 const TOO_LARGE: f64 = 1.36;
 /// If the estimate is uncertain, both limits are wider by this factor.
 const UNSURE: f64 = 1.1;
-/// Minimum number of coordinate steps in a spacing; with fewer steps, neighbours are misplaced.
+/// Minimum number of coordinate steps in a spacing; with fewer steps, rounding moves
+/// neighbours too far.
 const STEPS: f64 = 4.0;
 
 impl SpacingMistake {
-    fn of(said_over_found: f64) -> Option<Self> {
-        let near = |factor: f64, by: f64| (1.0 / by..by).contains(&(said_over_found / factor));
+    fn of(ratio: f64) -> Option<Self> {
+        let near = |factor: f64, by: f64| (1.0 / by..by).contains(&(ratio / factor));
         if near(0.5, 1.17) {
             return Some(Self::Radius);
         }
@@ -187,12 +188,14 @@ impl SpacingWarning {
         source: &SpacingSource,
         particles: &dyn Particles,
     ) -> Vec<Self> {
-        let Some(look) = survey(particles, given) else { return Vec::new() };
-        if !is_suspicious(&look.neighbours, given) {
+        let Some(surveyed) = survey(particles, given) else { return Vec::new() };
+        if !is_suspicious(&surveyed.neighbours, given) {
             return Vec::new();
         }
         let evidence = evidence(particles);
-        evidence.map_or(Vec::new(), |all| Self::of_given(given, source, &look.neighbours, &all))
+        evidence.map_or(Vec::new(), |evidence| {
+            Self::of_given(given, source, &surveyed.neighbours, &evidence)
+        })
     }
 
     /// The warnings about a given spacing, from the neighbours at the scale of this spacing and
@@ -212,9 +215,10 @@ impl SpacingWarning {
                 warnings.push(Self::TwoResolutions { spacings, used: given });
             }
             Ok(SpacingEstimate { spacing, thin, .. }) => {
-                let unsure = if thin { UNSURE } else { 1.0 };
-                let too_small = given < TOO_SMALL / unsure * spacing && !at_scale.has_solid(given);
-                if too_small || given > TOO_LARGE * unsure * spacing {
+                let tolerance = if thin { UNSURE } else { 1.0 };
+                let too_small =
+                    given < TOO_SMALL / tolerance * spacing && !at_scale.has_solid(given);
+                if too_small || given > TOO_LARGE * tolerance * spacing {
                     warnings.push(Self::contradicted(
                         given,
                         source,

@@ -42,7 +42,7 @@ pub struct Surface {
     /// Progress and cancellation of the request that made the surface.
     control: Control,
     /// The memory limit of the request that made the surface.
-    #[cfg_attr(not(feature = "pictures"), expect(dead_code, reason = "pictures alone ask for it"))]
+    #[cfg_attr(not(feature = "pictures"), expect(dead_code, reason = "only pictures use it"))]
     memory: MemoryBudget,
     particles_up: UpAxis,
 }
@@ -107,9 +107,9 @@ impl Surface {
         &self.extracted.report
     }
 
-    /// Draws a picture of the mesh, on the threads that made it, with the up axis of its particles.
-    /// Unless the picture has its own memory limit, it uses at most half of the frame's memory
-    /// limit, because the mesh may use the other half.
+    /// Draws a picture of the mesh with the up axis of its particles, on as many threads as made
+    /// the mesh. Unless the picture has its own memory limit, it uses at most half of the frame's
+    /// memory limit, because the mesh may use the other half.
     ///
     /// # Errors
     /// [`Error::Picture`] if the picture cannot be drawn, and [`Error::Threads`] if threads cannot
@@ -140,7 +140,8 @@ impl Surface {
     /// [`Error::Threads`] if threads cannot be started.
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
-        let warnings = || made_of(self.mesh(), self.extracted.precision, format, Path::new(""));
+        let warnings =
+            || storage_warnings(self.mesh(), self.extracted.precision, format, Path::new(""));
         Ok(threads.install(warnings)?)
     }
 
@@ -207,7 +208,7 @@ impl fmt::Debug for Surface {
 
 /// Warnings about storing a mesh in `format`: coordinates that become inaccurate, attributes that
 /// are renamed or left out, and vertices that become equal.
-pub(crate) fn made_of(
+pub(crate) fn storage_warnings(
     mesh: &dyn MeshSource,
     precision: SinglePrecision,
     format: MeshFormat,

@@ -108,8 +108,8 @@ pub enum Warning {
         lost: u64,
         /// Number of all particles.
         of: usize,
-        /// Whether the particles are missing because the smoothing of counting or symmetry removed
-        /// them; smaller cells do not help then.
+        /// Whether the indicator is counting or symmetry, whose smoothing can remove the particles.
+        /// In this case, smaller cells do not help.
         smoothed: bool,
     },
     /// The surface encloses much less than the particles' volume.
@@ -403,7 +403,7 @@ pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
     );
     warnings.extend(of_particles(
         facts,
-        engine.crowding(),
+        engine.relative_density(),
         coincident,
         engine.lacking_attributes(),
         mean,

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::grid::Walls;
 
-/// A box, given by its two ends along each axis; `None` for an open axis.
+/// A box: its two ends along each axis. An open axis is `None`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(into = "[Option<f64>; 6]", try_from = "[Option<f64>; 6]")]
 pub struct Faces(pub [Option<[f64; 2]>; 3]);
@@ -77,7 +77,7 @@ impl FromStr for Tank {
     }
 }
 
-/// Reads six numbers, any of which may be `-`, which gives `None`.
+/// Reads six numbers. A `-` in place of a number becomes `None`.
 pub(super) fn ends(text: &str) -> Result<[Option<f64>; 6], String> {
     let end = |part: &str| match part {
         "-" => Ok(None),

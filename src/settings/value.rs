@@ -52,26 +52,26 @@ impl FromStr for Iso {
     }
 }
 
-/// A name from a list, without the blanks around it. Never fails; the parser of the command line
-/// needs a `Result`.
+/// A name from a list, without the blanks around it. This function never fails. It returns a
+/// `Result` because the parser of the command line requires one.
 pub(super) fn trimmed(name: &str) -> Result<String, Infallible> {
     Ok(name.trim().to_owned())
 }
 
-/// Whether a field of [`Settings`](super::Settings) has a value.
+/// A field of [`Settings`](super::Settings) that may have no value.
 pub(super) trait OptionalSetting {
     /// Whether the field has no value.
-    fn is_not_given(&self) -> bool;
+    fn is_unset(&self) -> bool;
 }
 
 impl<T> OptionalSetting for Option<T> {
-    fn is_not_given(&self) -> bool {
+    fn is_unset(&self) -> bool {
         self.is_none()
     }
 }
 
 impl OptionalSetting for bool {
-    fn is_not_given(&self) -> bool {
+    fn is_unset(&self) -> bool {
         !self
     }
 }
@@ -173,7 +173,7 @@ mod tests {
 
     use super::*;
 
-    /// A source that selects the word at its index, and records all words that it is offered.
+    /// A source that always chooses the word at this index, and records the words to choose from.
     struct IndexSource(usize, RefCell<Vec<String>>);
 
     impl Source for IndexSource {

@@ -250,7 +250,7 @@ impl Simulation {
     }
 
     /// Whether this conversion includes the frame with this number.
-    pub(super) fn wants(&self, number: i64) -> bool {
+    pub(super) fn includes(&self, number: i64) -> bool {
         let (first, last) = self.frames;
         (first..=last).contains(&number)
     }

@@ -58,8 +58,8 @@ struct Job {
     /// The particles of the frame, if its file is already open.
     particles: Option<ParticleFile>,
     /// Whether a mesh with the frame's output name is already listed, for example from an older
-    /// version of the frame's file. The new mesh may replace it.
-    again: bool,
+    /// version of the frame's file. The new mesh may replace the listed mesh.
+    may_replace: bool,
 }
 
 /// The outcome of a frame.
@@ -92,7 +92,7 @@ impl Conversion<'_> {
 
     /// Sends the frames in `todo` to the lanes. If the shared calibration is not known yet,
     /// measures it after sending the first few frames, which the lanes open meanwhile.
-    fn give(
+    fn send_jobs(
         &self,
         todo: &[&FrameFile],
         frames: &[FrameFile],
@@ -101,19 +101,23 @@ impl Conversion<'_> {
     ) -> Result<(), Error> {
         // Sending cannot fail: the lanes run as long as the channel is open.
         let send = |job: Job| drop(to_lanes.send(job));
-        let mut jobs =
-            todo.iter().map(|&frame| Job { frame: frame.clone(), particles: None, again: false });
+        let mut jobs = todo.iter().map(|&frame| Job {
+            frame: frame.clone(),
+            particles: None,
+            may_replace: false,
+        });
         if self.settled.get().is_none() {
             // The first frame is most likely the calibration frame, so one lane stays free for it.
-            // After the calibration, the frame is sent to the lanes together with its file, which
-            // is already open.
+            // The first frame is sent after the calibration. If it is the calibration frame, its
+            // file is already open and is sent with it.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames)?;
             tally.list(frames, |_| false);
             if let Some(Job { frame, .. }) = first {
                 let measured = measured.filter(|(number, _)| *number == frame.number);
-                send(Job { frame, particles: measured.map(|(_, file)| file), again: false });
+                let particles = measured.map(|(_, file)| file);
+                send(Job { frame, particles, may_replace: false });
             }
         }
         jobs.for_each(send);
@@ -137,13 +141,13 @@ impl Conversion<'_> {
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames)?;
-            tally.list(frames, |frame| options.resume && options.wants(frame.number));
+            tally.list(frames, |frame| options.resume && options.includes(frame.number));
         }
-        let wanted: Vec<_> = frames.iter().filter(|frame| options.wants(frame.number)).collect();
+        let wanted: Vec<_> = frames.iter().filter(|frame| options.includes(frame.number)).collect();
         let todo: Vec<&FrameFile> = wanted
             .iter()
             .copied()
-            .filter(|frame| !(options.resume && tally.lists(frame)))
+            .filter(|frame| !(options.resume && tally.is_listed(frame)))
             .collect();
         let watch = options.watch.map(|idle| Watch::new(idle, options.selection));
         self.setup.send(Event::Started {
@@ -161,11 +165,14 @@ impl Conversion<'_> {
         let filled = Mutex::new(filled);
         let (results, outcomes) = mpsc::channel();
         let converted = thread::scope(|scope| {
-            let _at_last = SettleOnDrop(&self.settled);
+            let _settle = SettleOnDrop(&self.settled);
             for lane in 0..self.division.lanes {
                 let (jobs, to_disk) = (&jobs, to_disk.clone());
                 let (filled, results) = (&filled, results.clone());
-                let started = start(scope, move || self.keep(filled, &results)).and_then(|()| {
+                let started = start(scope, move || {
+                    self.finish_written_frames(filled, &results);
+                })
+                .and_then(|()| {
                     let pool = ThreadPoolBuilder::new().num_threads(self.division.threads).build();
                     let pool = pool.map_err(|fault| Error::Threads(fault.to_string()))?;
                     start(scope, move || self.lane(lane, &pool, jobs, &to_disk))
@@ -182,19 +189,21 @@ impl Conversion<'_> {
                 None => {
                     tally.total = todo.len();
                     tally.awaited = todo.iter().map(|frame| frame.number).collect();
-                    self.give(&todo, frames, to_lanes, &mut tally)?;
+                    self.send_jobs(&todo, frames, to_lanes, &mut tally)?;
                     None
                 }
             };
             match followed {
                 Some((watch, to_lanes)) => self.follow(watch, to_lanes, &outcomes, &mut tally),
-                None => outcomes.iter().try_for_each(|outcome| self.note(outcome, &mut tally)),
+                None => {
+                    outcomes.iter().try_for_each(|outcome| self.record_outcome(outcome, &mut tally))
+                }
             }
         });
         converted?;
         let frames = self.setup.frames()?;
         match self.changed(&frames) {
-            Some(frame) if !self.cancel().is_cancelled() && !tally.is_broken() => {
+            Some(frame) if !self.cancel().is_cancelled() && !tally.has_fatal_error() => {
                 Ok(ConversionEnd::Outdated(frame.path.clone()))
             }
             _ => tally.finish(&frames).map(|summary| ConversionEnd::Ended(Box::new(summary))),
@@ -210,47 +219,47 @@ impl Conversion<'_> {
         tally: &mut Tally,
     ) -> Result<(), Error> {
         let options = self.setup.simulation;
-        let mut under_way = 0;
+        let mut in_progress = 0;
         loop {
             if self.is_over() {
                 drop(to_lanes);
-                return outcomes.iter().try_for_each(|outcome| self.note(outcome, tally));
+                return outcomes.iter().try_for_each(|outcome| self.record_outcome(outcome, tally));
             }
             match outcomes.recv_timeout(POLL) {
                 Ok(outcome) => {
-                    under_way -= 1;
+                    in_progress -= 1;
                     let number = outcome.frame.number;
-                    self.note(outcome, tally)?;
+                    self.record_outcome(outcome, tally)?;
                     watch.done(number);
                 }
                 Err(RecvTimeoutError::Disconnected) => return Ok(()),
                 Err(RecvTimeoutError::Timeout) => {
                     tally.catch_up().inspect_err(|_| self.stop.store(true, Ordering::Relaxed))?;
-                    let there = self.setup.frames()?;
-                    let ready = watch.ready(&there);
+                    let existing = self.setup.frames()?;
+                    let ready = watch.ready(&existing);
                     let is_ready = |frame: &FrameFile| {
                         ready.iter().any(|ready| ready.frame.number == frame.number)
                     };
-                    if self.changed(&there).is_some_and(is_ready) {
+                    if self.changed(&existing).is_some_and(is_ready) {
                         self.stop.store(true, Ordering::Relaxed);
                         continue;
                     }
-                    for CompleteFrame { frame, again } in ready {
-                        let is_done = options.resume && !again && tally.lists(&frame);
-                        if !options.wants(frame.number) || is_done {
+                    for CompleteFrame { frame, has_changed } in ready {
+                        let is_done = options.resume && !has_changed && tally.is_listed(&frame);
+                        if !options.includes(frame.number) || is_done {
                             watch.done(frame.number);
                             continue;
                         }
-                        under_way += 1;
+                        in_progress += 1;
                         tally.total += 1;
                         self.setup.send(Event::FrameAppeared { bytes: frame.bytes() });
                         // If file names contain times, a new frame between finished frames takes
                         // over the number and the output of the frame after it.
-                        let again = tally.has_made(&self.output(&frame));
+                        let may_replace = tally.is_listed_output(&self.output(&frame));
                         tally.awaited.insert(frame.number);
-                        let _ = to_lanes.send(Job { frame, particles: None, again });
+                        let _ = to_lanes.send(Job { frame, particles: None, may_replace });
                     }
-                    if under_way == 0 && watch.is_over() {
+                    if in_progress == 0 && watch.is_over() {
                         return Ok(());
                     }
                 }
@@ -269,13 +278,17 @@ impl Conversion<'_> {
     }
 
     /// Records the outcome of a frame.
-    fn note(&self, outcome: Outcome<ConvertedFrame>, tally: &mut Tally) -> Result<(), Error> {
+    fn record_outcome(
+        &self,
+        outcome: Outcome<ConvertedFrame>,
+        tally: &mut Tally,
+    ) -> Result<(), Error> {
         let Outcome { frame, result } = outcome;
-        let taken = tally.take(&frame, result);
-        if !matches!(taken, Ok(false)) {
+        let added = tally.add_outcome(&frame, result);
+        if !matches!(added, Ok(false)) {
             self.stop.store(true, Ordering::Relaxed);
         }
-        taken.map(drop)
+        added.map(drop)
     }
 
     /// Converts frames until the channel is closed.
@@ -290,14 +303,14 @@ impl Conversion<'_> {
         // would wait until a thread of the pool wakes up. The current thread could instead join the
         // pool, but rayon would never release it.
         pool.install(|| {
-            while let Some(Job { frame, particles, again }) = next(jobs) {
+            while let Some(Job { frame, particles, may_replace }) = next(jobs) {
                 if self.is_over() {
                     continue;
                 }
                 let number = frame.number;
                 let events = self.setup.events;
                 let opened = self.checked_in(lane, &frame).and_then(|checked| {
-                    let opened = self.open(&checked, &frame, particles, again)?;
+                    let opened = self.open(&checked, &frame, particles, may_replace)?;
                     Ok((checked, opened))
                 });
                 let Some(settled) = self.settled.wait() else { return };
@@ -336,7 +349,7 @@ impl Conversion<'_> {
 
     /// Finishes written frames: waits until their meshes are on disk, so that no lane has to wait
     /// for the disk.
-    fn keep(
+    fn finish_written_frames(
         &self,
         filled: &Mutex<Receiver<Outcome<WrittenFrame>>>,
         results: &Sender<Outcome<ConvertedFrame>>,
@@ -382,7 +395,7 @@ pub(super) struct Conversion<'a> {
     /// The shared measurements, once they are known; `None` if the calibration failed.
     pub(super) settled: OnceLock<Option<SharedMeasurements>>,
     /// The records that existed before this run replaced any mesh.
-    pub(super) before: OnceLock<Records>,
+    pub(super) records_before: OnceLock<Records>,
     pub(super) division: Division,
     pub(super) gate: FrameGate,
     pub(super) stop: AtomicBool,
@@ -407,8 +420,8 @@ impl<'a> Conversion<'a> {
         let (settled, gate) =
             (OnceLock::new(), FrameGate::new(division.lanes, setup.checked.threads));
         let [stop, unchecked] = [(); 2].map(|()| AtomicBool::new(false));
-        let before = OnceLock::new();
-        Self { setup, format, store, settled, before, division, gate, stop, unchecked }
+        let records_before = OnceLock::new();
+        Self { setup, format, store, settled, records_before, division, gate, stop, unchecked }
     }
 
     /// The caller's handle to end the work early.

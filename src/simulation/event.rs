@@ -433,7 +433,7 @@ impl fmt::Display for SharedCalibration {
 
 /// Maximum number of queued events. If the queue is full, the conversion waits, so that the memory
 /// of the queue is bounded.
-const WAITING: usize = 1024;
+const QUEUE_LENGTH: usize = 1024;
 
 /// Sends events to the caller, from any thread.
 #[derive(Debug, Clone)]
@@ -446,21 +446,21 @@ impl EventSender {
     }
 }
 
-/// Runs `work` on a new thread, and calls `hear` with each of its events on the current thread. If
-/// `hear` panics, `work` is cancelled.
+/// Runs `work` on a new thread, and calls `on_event` with each of its events on the current thread.
+/// If `on_event` panics, `work` is cancelled.
 pub(super) fn with_events<T: Send>(
     cancel: &Cancel,
-    hear: impl FnMut(Event),
+    on_event: impl FnMut(Event),
     work: impl FnOnce(&EventSender) -> Result<T, Error> + Send,
 ) -> Result<T, Error> {
-    let (sender, receiver) = sync_channel(WAITING);
+    let (sender, receiver) = sync_channel(QUEUE_LENGTH);
     thread::scope(|scope| {
         let work = move || work(&EventSender(sender));
         let worker = thread::Builder::new().name("meniscus".into()).spawn_scoped(scope, work);
         let worker = worker.map_err(|fault| Error::Threads(fault.to_string()))?;
         // `receive_all` returns when the last sender is dropped.
         let stop = CancelInPanic(cancel);
-        receive_all(&receiver, hear);
+        receive_all(&receiver, on_event);
         drop(stop);
         worker.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
     })
@@ -468,13 +468,13 @@ pub(super) fn with_events<T: Send>(
 
 /// Receives all events. If the current thread belongs to a rayon pool, it runs tasks of the pool
 /// while it waits, because the senders may need the pool.
-fn receive_all(receiver: &Receiver<Event>, mut hear: impl FnMut(Event)) {
+fn receive_all(receiver: &Receiver<Event>, mut on_event: impl FnMut(Event)) {
     if rayon::current_thread_index().is_none() {
-        return receiver.iter().for_each(hear);
+        return receiver.iter().for_each(on_event);
     }
     loop {
         match receiver.try_recv() {
-            Ok(event) => hear(event),
+            Ok(event) => on_event(event),
             Err(TryRecvError::Disconnected) => return,
             Err(TryRecvError::Empty) => {
                 if rayon::yield_now() != Some(rayon::Yield::Executed) {

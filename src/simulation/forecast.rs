@@ -99,20 +99,20 @@ impl Setup<'_> {
     /// Estimates the resources that a conversion needs.
     pub(super) fn forecast(
         &self,
-        kept: Option<State>,
+        known: Option<State>,
         store: &StateFolder,
         frames: &[FrameFile],
         wanted: &[&FrameFile],
     ) -> Result<Forecast, Error> {
-        let begun = Instant::now();
-        let shared = match &kept {
+        let start = Instant::now();
+        let shared = match &known {
             Some(state) => state.shared.clone(),
-            None => self.freeze(frames, &self.checked.resources)?.0,
+            None => self.calibrate(frames, &self.checked.resources)?.0,
         };
         let meshes = self.existing_meshes(store);
         let format = self.format(&frames[0])?;
-        let kept = kept.as_ref().filter(|_| self.simulation.resume);
-        let fingerprint = kept.map(|state| state.fingerprint(format));
+        let known = known.as_ref().filter(|_| self.simulation.resume);
+        let fingerprint = known.map(|state| state.fingerprint(format));
         let done = |frame: &&&FrameFile| {
             let output = self.output(frame);
             let current = |fingerprint| meshes.current(frame, &output, fingerprint);
@@ -126,7 +126,7 @@ impl Setup<'_> {
             done,
             output: self.shown_output(&frames[0]),
             missing: gaps(frames),
-            largest: self.largest(&shared, wanted, done, begun)?,
+            largest: self.largest(&shared, wanted, done, start)?,
             shared,
         })
     }
@@ -137,7 +137,7 @@ impl Setup<'_> {
         shared: &SharedCalibration,
         wanted: &[&FrameFile],
         done: usize,
-        begun: Instant,
+        start: Instant,
     ) -> Result<Option<LargestFrame>, Error> {
         let (checked, total) =
             (self.checked, wanted.iter().map(|frame| frame.bytes()).sum::<u64>());
@@ -178,7 +178,7 @@ impl Setup<'_> {
             budget: resources.budget.0,
             side_by_side: self.division(wanted.len()).lanes,
             disk: (bytes as f64 * scale) as u64,
-            seconds: (timings.total() * scale).max(begun.elapsed().as_secs_f64()).ceil(),
+            seconds: (timings.total() * scale).max(start.elapsed().as_secs_f64()).ceil(),
         }))
     }
 }

@@ -1,4 +1,4 @@
-//! Calibrates all frames on the first suitable one.
+//! Calibrates all frames on the first suitable frame.
 
 use super::frame_file::FrameFile;
 use super::shared_calibration::{
@@ -20,12 +20,12 @@ use super::event::Event;
 use super::setup::{POLL, Setup};
 use super::watch::Watch;
 
-/// Maximum number of frames that are tried for the calibration. Half of them are the first existing
-/// frames, and the other half are spread evenly over the later frames.
-const LOOKED_AT: usize = 64;
+/// Maximum number of frames that are examined for the calibration. Half of them are the first
+/// existing frames, and the other half are spread evenly over the later frames.
+const MOST_EXAMINED: usize = 64;
 
-/// Number of frames that are searched for walls, spread evenly from the first frame to the last.
-const LOOKED_AT_FOR_WALLS: usize = 7;
+/// Number of frames that are examined for walls, spread evenly from the first frame to the last.
+const EXAMINED_FOR_WALLS: usize = 7;
 
 /// Measurements on one frame.
 struct MeasuredFrame {
@@ -44,11 +44,11 @@ impl Setup<'_> {
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(State, Option<ParticleFile>), Error> {
-        let (mut shared, file) = self.freeze(frames, resources)?;
+        let (mut shared, file) = self.calibrate(frames, resources)?;
         self.settle_kinds(&mut shared, frames, resources)?;
         self.check_attributes(&shared, frames)?;
-        let settings = self.kept_settings(store.stale().as_ref());
-        let measured = State::new(settings, shared, self.sequence.place());
+        let settings = self.settings_to_store(store.stale().as_ref());
+        let measured = State::new(settings, shared, self.sequence.location());
         // If several jobs measure at the same time, all of them use the state that is stored first.
         let state = self.checked.resources.control.cancel.undisturbed(|| store.add(&measured))?;
         let file = file.filter(|_| state.shared.frame == measured.shared.frame);
@@ -57,12 +57,12 @@ impl Setup<'_> {
 
     /// Calibrates all frames on the first suitable frame, and returns its particles if its file is
     /// still open. If requested, also finds walls, in several frames.
-    pub(super) fn freeze(
+    pub(super) fn calibrate(
         &self,
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(SharedCalibration, Option<ParticleFile>), Error> {
-        let (frame, mut measured, file) = self.freeze_one(frames, resources)?;
+        let (frame, mut measured, file) = self.measure_calibration_frame(frames, resources)?;
         if self.checked.sampling.search == WallSearch::Walls && self.simulation.watch.is_none() {
             measured.shared.walls = self.common_walls(frames, &measured.shared, resources)?;
         }
@@ -80,25 +80,28 @@ impl Setup<'_> {
     ) -> Result<Option<FoundWalls>, Error> {
         let Some(spacing) = shared.spacing else { return Ok(None) };
         let (grid, flat) = (shared.grid()?, shared.slab.map(|slab| slab.axis));
-        let numbers = (0..LOOKED_AT_FOR_WALLS as u128).map(|number| {
+        let numbers = (0..EXAMINED_FOR_WALLS as u128).map(|number| {
             let last = frames.len().saturating_sub(1) as u128;
-            (number * last / (LOOKED_AT_FOR_WALLS as u128 - 1)) as usize
+            (number * last / (EXAMINED_FOR_WALLS as u128 - 1)) as usize
         });
         let mut numbers: Vec<usize> = numbers.collect();
         numbers.dedup();
         let mut ends = Vec::new();
         for frame in numbers.into_iter().filter_map(|number| frames.get(number)) {
-            self.go_on()?;
+            self.check_cancelled()?;
             let Ok(file) = self.open_particles(frame, resources) else { continue };
             let lengths = (spacing, shared.sizes.as_ref());
             ends.extend(Ends::of(&file.particles, None, lengths, flat, &grid));
         }
-        self.go_on()?;
+        self.check_cancelled()?;
         let path = frames.first().map(|frame| &*frame.path);
         Ok(Some(self.checked.sampling.walls_of(&ends, path)))
     }
 
-    fn freeze_one(
+    /// Examines frames until one is suitable for the calibration. Returns that frame, or else the
+    /// best examined frame, with its measurements, and with its particles if its file is still
+    /// open.
+    fn measure_calibration_frame(
         &self,
         frames: &[FrameFile],
         resources: &Resources,
@@ -107,9 +110,9 @@ impl Setup<'_> {
         let mut watch = idle.map(|idle| Watch::new(idle, self.simulation.selection));
         let mut best: Option<(FrameFile, MeasuredFrame)> = None;
         let mut first_error = None;
-        let (mut looked_at, mut is_reported) = (0, false);
-        let (first, rest) = frames.split_at(frames.len().min(LOOKED_AT / 2));
-        let step = rest.len().div_ceil(LOOKED_AT / 2).max(1);
+        let (mut examined, mut is_reported) = (0, false);
+        let (first, rest) = frames.split_at(frames.len().min(MOST_EXAMINED / 2));
+        let step = rest.len().div_ceil(MOST_EXAMINED / 2).max(1);
         let mut current: Vec<_> = first.iter().chain(rest.iter().step_by(step)).cloned().collect();
         loop {
             let ready = match &mut watch {
@@ -117,11 +120,11 @@ impl Setup<'_> {
                 Some(watch) => watch.ready(&current).into_iter().map(|ready| ready.frame).collect(),
             };
             for frame in ready {
-                if looked_at == LOOKED_AT {
+                if examined == MOST_EXAMINED {
                     break;
                 }
-                looked_at += 1;
-                self.go_on()?;
+                examined += 1;
+                self.check_cancelled()?;
                 let lattice = best.as_ref().filter(|(_, known)| known.trust == Trust::Lattice);
                 let lattice = lattice.map(|(_, known)| &known.shared);
                 let measured = self.measure_on(&frame, lattice, resources);
@@ -146,7 +149,7 @@ impl Setup<'_> {
                         }
                     }
                     // Cells that are too fine for one frame, because of its mu0 or its lattice, may
-                    // suit another.
+                    // suit another frame.
                     Err(error)
                         if error.cause() == Cause::Input
                             || matches!(
@@ -160,11 +163,11 @@ impl Setup<'_> {
                 }
             }
             match &mut watch {
-                Some(watch) if looked_at < LOOKED_AT && !watch.is_over() => {
-                    self.go_on()?;
-                    if looked_at > 0 && !is_reported {
+                Some(watch) if examined < MOST_EXAMINED && !watch.is_over() => {
+                    self.check_cancelled()?;
+                    if examined > 0 && !is_reported {
                         let inputs = self.sequence.describe();
-                        self.send(Event::Waiting { inputs, unsuitable: looked_at });
+                        self.send(Event::Waiting { inputs, unsuitable: examined });
                         is_reported = true;
                     }
                     std::thread::sleep(POLL);
@@ -191,14 +194,14 @@ impl Setup<'_> {
     ) -> Result<(), Error> {
         // A frame that lacks a requested attribute reveals no kinds.
         let names = self.checked.settings.attribute_names();
-        let asks = names.is_some_and(|names| !names.is_empty());
-        let lacks_some = |shared: &SharedCalibration| asks && shared.kinds.is_empty();
+        let names_attributes = names.is_some_and(|names| !names.is_empty());
+        let lacks_some = |shared: &SharedCalibration| names_attributes && shared.kinds.is_empty();
         let last = frames.len().saturating_sub(1);
         for index in [last, last / 2, last / 4, last - last / 4] {
             let is_settled =
                 !lacks_some(shared) && shared.kinds.iter().all(|known| known.is_evident);
             let Some(frame) = frames.get(index).filter(|_| !is_settled) else { break };
-            self.go_on()?;
+            self.check_cancelled()?;
             // A frame that cannot be read fails when it is converted.
             let Ok(file) = self.open_particles(frame, resources) else { continue };
             if file.particles.is_empty() {
@@ -254,8 +257,9 @@ impl Setup<'_> {
         self.send(Event::Measured { path: frame.path.clone(), shared, trust: found.trust });
     }
 
-    /// Measures one frame for all frames. `lattice` is the calibration of an earlier frame whose
-    /// particles form a lattice. If it is given, its grid, mu0 and spacing are used for this frame.
+    /// Measures a frame, to calibrate all frames on it. `lattice` is the calibration of an earlier
+    /// frame whose particles form a lattice. If it is given, its grid, mu0 and spacing are used for
+    /// this frame.
     fn measure_on(
         &self,
         frame: &FrameFile,
@@ -279,13 +283,13 @@ impl Setup<'_> {
             ));
         }
         let file = self.open_particles(frame, resources)?;
-        let file = file.with_some().map_err(|fault| ReadError::new(path, fault))?;
+        let file = file.require_selected().map_err(|fault| ReadError::new(path, fault))?;
         let request = &self.checked.sampling;
         let source = reconstruction::SpacingHints { path: Some(path), spacing: file.spacing };
         let cells = request.cells(&file.particles, source)?;
-        let asked = request.method;
+        let method = request.method;
         let known = lattice.map(|first| {
-            Ok::<_, Error>((first.grid()?, asked.calibrated(first.calibration.as_ref())))
+            Ok::<_, Error>((first.grid()?, method.calibrated(first.calibration.as_ref())))
         });
         let measured = measure_in(
             &cells,

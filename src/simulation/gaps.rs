@@ -3,26 +3,26 @@
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
-use crate::io::time_codes::{REGULAR, greatest_common_divisor};
+use crate::io::time_codes::{MIN_REGULAR_FRAMES, greatest_common_divisor};
 
 use super::frame_file::{FrameFile, neighbours};
 use super::pattern::Pattern;
 
 /// Finds the numbers that are missing between the frames. The step is the largest number that
-/// divides all differences between consecutive frame numbers. If there are more than `REGULAR`
-/// frames, the last frame does not affect the step.
+/// divides all differences between consecutive frame numbers. If there are more than
+/// `MIN_REGULAR_FRAMES` frames, the last frame does not affect the step.
 pub fn gaps(frames: &[FrameFile]) -> Gaps {
     let step_of = |frames: &[FrameFile]| {
         let steps = neighbours(frames).map(|(a, b)| b.number.abs_diff(a.number));
         steps.fold(0, greatest_common_divisor)
     };
     let before_last = &frames[..frames.len().saturating_sub(1)];
-    let step = step_of(if before_last.len() < REGULAR { frames } else { before_last });
+    let step = step_of(if before_last.len() < MIN_REGULAR_FRAMES { frames } else { before_last });
     let mut ranges = Vec::new();
     for (a, b) in neighbours(frames) {
         let difference = b.number.abs_diff(a.number);
         if difference > step {
-            // The step divides every difference, except maybe the last.
+            // The step divides every difference, except possibly the last one.
             let last = (difference - 1) / step * step;
             ranges
                 .push((a.number.wrapping_add_unsigned(step), a.number.wrapping_add_unsigned(last)));
@@ -42,16 +42,21 @@ pub fn missing_path(frames: &[FrameFile], pattern: Option<&Pattern>, number: i64
     let end = name.len() - digits.len().min(name.len());
     let at = match pattern {
         Some(pattern) => {
-            let unpacked = || pattern.place(name.strip_suffix(".gz")?);
-            pattern.place(&name).or_else(unpacked).unwrap_or(end..name.len())
+            let unpacked = || pattern.number_range(name.strip_suffix(".gz")?);
+            pattern.number_range(&name).or_else(unpacked).unwrap_or(end..name.len())
         }
         None => end..name.len(),
     };
-    path.with_file_name(format!("{}{}{}", &name[..at.start], like(digits, number), &name[at.end..]))
+    path.with_file_name(format!(
+        "{}{}{}",
+        &name[..at.start],
+        spelled_like(digits, number),
+        &name[at.end..]
+    ))
 }
 
 /// Formats a number like `digits`: padded with zeros to the same width if `digits` begins with 0.
-fn like(digits: &str, number: i64) -> String {
+fn spelled_like(digits: &str, number: i64) -> String {
     let plain = digits.trim_start_matches('-');
     let width = if plain.starts_with('0') { plain.len() } else { 1 };
     let sign = if number < 0 { "-" } else { "" };
@@ -104,15 +109,17 @@ impl Gaps {
 }
 
 /// Maximum number of gaps in a message.
-const LISTED: usize = 20;
+const MOST_LISTED: usize = 20;
 
 impl std::fmt::Display for Gaps {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let range = |&(first, last): &(i64, i64)| {
             if first == last { first.to_string() } else { format!("{first} to {last}") }
         };
-        f.write_str(&self.ranges.iter().take(LISTED).map(range).collect::<Vec<_>>().join(", "))?;
-        match self.ranges.len().saturating_sub(LISTED) {
+        f.write_str(
+            &self.ranges.iter().take(MOST_LISTED).map(range).collect::<Vec<_>>().join(", "),
+        )?;
+        match self.ranges.len().saturating_sub(MOST_LISTED) {
             0 => Ok(()),
             more => write!(f, ", and {more} more gaps"),
         }
@@ -129,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn gaps_are_counted_in_the_largest_step_that_reaches_all_frames() {
+    fn gaps_use_the_greatest_common_divisor_of_the_differences() {
         let found = gaps(&frames(&[0, 10, 20, 40, 50, 90]));
         assert_eq!((found.step, &*found.ranges, found.count()), (10, &[(30, 30), (60, 80)][..], 4));
         assert!(!found.sparse);
@@ -149,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_last_frame_off_the_step_is_the_end_of_the_simulation() {
+    fn the_last_frame_does_not_affect_the_step() {
         assert_eq!(gaps(&frames(&[0, 100, 200, 300, 350])).ranges, []);
         let found = gaps(&frames(&[0, 100, 200, 400, 500, 725]));
         assert_eq!((found.step, &*found.ranges), (100, &[(300, 300), (600, 700)][..]));

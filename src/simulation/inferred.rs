@@ -12,10 +12,10 @@ use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 ///
 /// Names that differ in more than their numbers belong to different simulations. In names that
 /// differ only in numbers, the number that varies is the frame number. In the name of a single
-/// file, it is the last number. If several numbers vary, and all numbers except the last
-/// distinguish parallel simulations, the last number is the frame number. A number after `rank` or
-/// `proc` is the number of a piece if more than half of the frames have all pieces. Some decimal
-/// numbers are times: see [`times`].
+/// file, it is the last number. If several numbers vary, and all of them except the last
+/// distinguish parallel simulations, the last one is the frame number. A number after a word such
+/// as `rank` or `proc` is the number of a piece if more than half of the frames have all pieces.
+/// Some decimal numbers are times: see [`times`].
 ///
 /// # Errors
 /// [`SimulationError::Names`] if several numbers could be the frame number.
@@ -27,7 +27,7 @@ pub(super) fn infer(files: &[FrameCandidate]) -> Result<Vec<Pattern>, Simulation
         found.entry(key).or_insert(pattern);
     };
     let mut kinds: BTreeMap<String, Vec<FrameCandidate>> = BTreeMap::new();
-    for files in by(numbered, |file| skeleton(&file.name, &file.decimals())).into_values() {
+    for files in group_by(numbered, |file| skeleton(&file.name, &file.decimals())).into_values() {
         match times(&files) {
             Some(pattern) => add(pattern),
             None => files
@@ -48,7 +48,7 @@ pub(super) fn infer(files: &[FrameCandidate]) -> Result<Vec<Pattern>, Simulation
 }
 
 /// Groups files by a key.
-fn by<'a>(
+fn group_by<'a>(
     files: impl IntoIterator<Item = &'a FrameCandidate>,
     key: impl Fn(&FrameCandidate) -> String,
 ) -> BTreeMap<String, Vec<&'a FrameCandidate>> {
@@ -81,9 +81,9 @@ fn with_signs(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
 
 /// Returns the pattern of files whose names differ in one decimal number, if this number must be a
 /// time. It must be a time if it has an exponent in one of the names, if it follows a separator and
-/// begins with `0.` in all names, or if the numbers continue from one integer to the next. They do
-/// so if every step across an integer is less than 1.5 times as long as the longest step that
-/// crosses none.
+/// begins with `0.` in all names, or if the numbers continue from one integer to the next. The
+/// numbers continue if every step across an integer is less than 1.5 times as long as the longest
+/// step that crosses no integer.
 fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
     let first = files[0];
     let numbers: Vec<Vec<Range<usize>>> = files.iter().map(|file| file.decimals()).collect();
@@ -132,7 +132,7 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
 enum FrameNumber {
     /// A run of digits.
     Run(usize),
-    /// The number in this pattern, which also has a place for the number of a piece.
+    /// The number in this pattern, which also has a placeholder for the number of a piece.
     InPieces(Pattern),
 }
 
@@ -143,7 +143,7 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
     let Some((&last, others)) = varying.split_last() else {
         return Ok(FrameNumber::Run(first.runs.len() - 1));
     };
-    match of_known_count(files, &varying) {
+    match with_known_count(files, &varying) {
         Some(KnownCount { pattern, is_certain: true, .. }) => {
             return Ok(FrameNumber::InPieces(pattern));
         }
@@ -157,17 +157,19 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
         None => {}
     }
     let numbers = first.decimals();
-    let is_joint = |&&run: &&usize| {
+    let is_in_decimal = |&&run: &&usize| {
         let is_part = |number: &&Range<usize>| {
             number.start <= first.runs[run].start && first.runs[run].end <= number.end
         };
         numbers.iter().find(is_part).is_some_and(|number| *number != first.runs[run])
     };
-    let decimal = varying.iter().filter(|_| !others.is_empty()).find(is_joint);
+    let decimal = varying.iter().filter(|_| !others.is_empty()).find(is_in_decimal);
     if decimal.is_none() {
         match pieces(files, &varying)? {
             PiecesGuess::In(pattern) => return Ok(FrameNumber::InPieces(pattern)),
-            PiecesGuess::Unlikely if others.is_empty() || side_by_side(files, others, last) => {
+            PiecesGuess::Unlikely
+                if others.is_empty() || are_parallel_simulations(files, others, last) =>
+            {
                 return Ok(FrameNumber::Run(last));
             }
             PiecesGuess::Unlikely | PiecesGuess::Unclear => {}
@@ -199,9 +201,9 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
 }
 
 /// Texts between the number of a piece and the total number of pieces.
-const OF: [&str; 3] = ["of", "_of_", "-of-"];
+const COUNT_SEPARATORS: [&str; 3] = ["of", "_of_", "-of-"];
 /// Texts that can stand between these two numbers, but also between other numbers.
-const MAY_BE_OF: [&str; 3] = ["_", "-", "."];
+const POSSIBLE_COUNT_SEPARATORS: [&str; 3] = ["_", "-", "."];
 
 /// Files whose names seem to contain the number of pieces.
 struct KnownCount {
@@ -215,14 +217,14 @@ struct KnownCount {
 /// Finds the number of pieces in the names of files: `a_0of2_050` and `a_1of2_050` are the two
 /// pieces of frame 50. `a_0_2_050` and `a_1_2_050` may be two pieces of frame 50, or frames of two
 /// simulations. Every frame must have all pieces.
-fn of_known_count(files: &[&FrameCandidate], varying: &[usize]) -> Option<KnownCount> {
+fn with_known_count(files: &[&FrameCandidate], varying: &[usize]) -> Option<KnownCount> {
     let (first, &[one, other]) = (files[0], varying) else { return None };
     let count = |run: usize| {
         let after = first.runs.get(run + 1).filter(|_| !varying.contains(&(run + 1)))?;
         let between = &first.name[first.runs[run].end..after.start];
         let count = first.digits(run + 1).parse::<usize>().ok().filter(|&count| count > 1)?;
-        let is_certain = OF.contains(&between);
-        (is_certain || MAY_BE_OF.contains(&between)).then_some((count, is_certain))
+        let is_certain = COUNT_SEPARATORS.contains(&between);
+        (is_certain || POSSIBLE_COUNT_SEPARATORS.contains(&between)).then_some((count, is_certain))
     };
     let mut guesses = [(one, other), (other, one)].into_iter();
     guesses.find_map(|(piece, frame)| {
@@ -266,8 +268,9 @@ fn is_padded(digits: &str) -> bool {
 /// as the number of a piece only if there are at most as many pieces as frames.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if half or more of the frames lack the piece of a process, or if the
-/// number of the process is the only number in the names.
+/// If a word such as `rank` precedes the piece's number: [`SimulationError::Names`] if half or more
+/// of the frames lack pieces, if the pieces are not numbered from 0 without gaps, or if this number
+/// is the only number in the names.
 fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, SimulationError> {
     let first = files[0];
     let is_called = |run: usize, words: &[&str]| {
@@ -366,9 +369,9 @@ fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
 /// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
 /// `last`. There must be fewer simulations than frames in the longest one, and at least half of the
 /// frame numbers of each simulation must also occur in the longest one. If all simulations have the
-/// same numbers 0, 1, 2 and so on, these can be the numbers of pieces, unless they are padded like
-/// frame numbers.
-fn side_by_side(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
+/// same numbers 0, 1, 2 and so on, these can be the numbers of pieces, so the result is false. The
+/// exception is numbers that are padded like frame numbers.
+fn are_parallel_simulations(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {
         let simulation = others.iter().map(|&run| file.digits(run)).collect();
@@ -379,20 +382,21 @@ fn side_by_side(files: &[&FrameCandidate], others: &[usize], last: usize) -> boo
         let longest = others.iter().map(|&run| file.digits(run).len()).max().unwrap_or(0);
         is_padded(text) && text.len() >= longest
     };
-    let count = |numbers: &BTreeSet<&str>| {
+    let counts_from_zero = |numbers: &BTreeSet<&str>| {
         let counted: BTreeSet<Option<usize>> = (0..numbers.len()).map(Some).collect();
         numbers.iter().map(|number| number.parse().ok()).collect::<BTreeSet<_>>() == counted
     };
     let mut all = simulations.values();
-    let is_alike = all.next().is_some_and(|first| count(first) && all.all(|own| own == first));
+    let is_alike =
+        all.next().is_some_and(|first| counts_from_zero(first) && all.all(|own| own == first));
     if is_alike && !files.iter().any(is_padded_longest) {
         return false;
     }
     let longest = simulations.values().max_by_key(|numbers| numbers.len());
     longest.is_some_and(|longest| {
-        let is_beside =
+        let overlaps_longest =
             |numbers: &BTreeSet<&str>| 2 * numbers.intersection(longest).count() >= numbers.len();
-        simulations.len() < longest.len() && simulations.values().all(is_beside)
+        simulations.len() < longest.len() && simulations.values().all(overlaps_longest)
     })
 }
 
@@ -608,7 +612,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_number_is_a_piece_if_most_frames_have_the_same_ones() {
+    fn a_process_number_is_a_piece_if_most_frames_have_all_pieces() {
         for (names, pattern) in [
             (&["a_1_rank0", "a_1_rank1", "a_2_rank0", "a_2_rank1"][..], "a_{}_rank{piece}"),
             (

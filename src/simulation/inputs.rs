@@ -17,7 +17,7 @@ use crate::error::{Error, SimulationError, WhyOne};
 
 use super::frame_file::{FrameFile, neighbours};
 use super::inferred::infer;
-use super::numbered::{joined, timed, whole};
+use super::numbered::{group_by_number, join_simulations, number_by_time};
 use super::pattern::{FrameCandidate, NumberKind, Pattern, digit_runs};
 use super::pieces::{may_be_piece, whole_frames};
 
@@ -140,9 +140,9 @@ impl Inputs {
     /// [`SimulationError::Unreadable`] for an input that cannot be read, [`SimulationError::Names`]
     /// if the names do not determine the frame number.
     pub fn simulations(&self, idle: Option<f64>) -> Result<Vec<Sequence>, SimulationError> {
-        let grows = matches!(self, Self::Folder(_) | Self::Glob(_));
+        let may_grow = matches!(self, Self::Folder(_) | Self::Glob(_));
         let patience = idle
-            .filter(|_| grows)
+            .filter(|_| may_grow)
             .map(|idle| Duration::try_from_secs_f64(idle).unwrap_or(PATIENCE).min(PATIENCE));
         let sequence = |pattern| Sequence { source: self.clone(), pattern, patience };
         let mut files = match self {
@@ -163,13 +163,15 @@ impl Inputs {
             _ => self.candidates()?,
         };
         files.retain(|file| {
-            patience.is_none_or(|patience| !may_be_piece(&file.path) || rests(file, patience))
+            patience.is_none_or(|patience| {
+                !may_be_piece(&file.path) || is_unchanged_for(file, patience)
+            })
         });
         if let Self::Files(named) = self {
             refuse_folders(named)?;
         }
-        if let Some(odd) = files.iter().find(|file| file.runs.is_empty()) {
-            if let Some(missing) = missing(&odd.path).filter(|_| idle.is_none()) {
+        if let Some(unnumbered) = files.iter().find(|file| file.runs.is_empty()) {
+            if let Some(missing) = missing(&unnumbered.path).filter(|_| idle.is_none()) {
                 return Err(missing);
             }
             if files.iter().all(|file| file.runs.is_empty()) {
@@ -178,7 +180,7 @@ impl Inputs {
             return Err(SimulationError::Names(format!(
                 "{}: this name has no number, but the names of the other frames do; rename the \
                  file, or leave it out",
-                odd.path.display()
+                unnumbered.path.display()
             )));
         }
         if matches!(self, Self::Folder(_)) && !files.is_empty() {
@@ -190,7 +192,7 @@ impl Inputs {
         }
         if let ([file], Some(patience)) = (&*files, patience)
             && file.runs.len() > 1
-            && !rests(file, patience)
+            && !is_unchanged_for(file, patience)
         {
             return Ok(Vec::new());
         }
@@ -255,15 +257,15 @@ impl Inputs {
     }
 
     /// Whether the inputs would include the file at `path` if it existed.
-    fn takes(&self, path: &Path) -> bool {
+    fn would_include(&self, path: &Path) -> bool {
         let is_in = |folder: &Path| {
-            let whole = |folder: &Path| match folder.as_os_str().is_empty() {
+            let canonical = |folder: &Path| match folder.as_os_str().is_empty() {
                 true => Path::new(".").canonicalize(),
                 false => folder.canonicalize(),
             };
             path.parent()
-                .and_then(|parent| whole(parent).ok())
-                .is_some_and(|own| whole(folder).is_ok_and(|f| f == own))
+                .and_then(|parent| canonical(parent).ok())
+                .is_some_and(|own| canonical(folder).is_ok_and(|f| f == own))
         };
         match self {
             Self::Pattern(pattern) => is_in(&pattern.folder),
@@ -276,7 +278,7 @@ impl Inputs {
                     .is_ok_and(|pattern| pattern.matches_path_with(path, in_one_folder))
             }
             Self::Together(members) => members_of(members)
-                .is_ok_and(|members| members.iter().any(|member| member.takes(path))),
+                .is_ok_and(|members| members.iter().any(|member| member.would_include(path))),
             Self::Steps { .. } | Self::Files(_) => false,
         }
     }
@@ -285,7 +287,7 @@ impl Inputs {
     /// `._f_1.npy` of macOS. Such files are used only if the requested pattern or glob itself
     /// begins with a dot, or if the files are named one by one.
     fn hides(&self, path: &Path) -> bool {
-        let asks = match self {
+        let includes_hidden = match self {
             Self::Pattern(pattern) => pattern.prefix.starts_with('.'),
             Self::Glob(pattern) => {
                 pattern.rsplit(is_separator).next().is_some_and(|name| name.starts_with(['.', '[']))
@@ -293,7 +295,8 @@ impl Inputs {
             Self::Folder(_) => false,
             Self::Files(_) | Self::Steps { .. } | Self::Together(_) => true,
         };
-        !asks && path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
+        !includes_hidden
+            && path.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(b"."))
     }
 
     /// The existing files that may be frames.
@@ -326,7 +329,8 @@ impl Inputs {
                 let fail =
                     |e: glob::PatternError| SimulationError::Names(format!("{pattern}: {e}"));
                 glob::Pattern::new(pattern).map_err(fail)?;
-                let paths = glob::glob(&below(pattern)).map_err(fail)?.filter_map(Result::ok);
+                let paths =
+                    glob::glob(&without_dot_folders(pattern)).map_err(fail)?.filter_map(Result::ok);
                 whole_frames(paths.filter(|path| path.is_file() && !self.hides(path)).collect())
             }
             Self::Files(files) => whole_frames(files.clone()),
@@ -362,12 +366,12 @@ impl Sequence {
 
     /// The path, without links, of the folder or file that contains the frames; `None` for files
     /// without numbers, which can be in several folders.
-    pub fn place(&self) -> Option<String> {
-        let place = match (&self.source, &self.pattern) {
+    pub fn location(&self) -> Option<String> {
+        let location = match (&self.source, &self.pattern) {
             (Inputs::Steps { file, .. }, _) => file,
             (_, pattern) => pattern.as_ref()?.folder(),
         };
-        Some(place.canonicalize().ok()?.to_string_lossy().into_owned())
+        Some(location.canonicalize().ok()?.to_string_lossy().into_owned())
     }
 
     /// Whether each frame's number is in the name of its file, so that it does not depend on other
@@ -402,7 +406,7 @@ impl Sequence {
             (Inputs::Together(members), _) => {
                 let members = members_of(members)?;
                 let lists = members.iter().map(Self::list).collect::<Result<_, _>>()?;
-                return joined(&members, lists);
+                return join_simulations(&members, lists);
             }
             (Inputs::Steps { file, format }, _) => {
                 let steps =
@@ -424,8 +428,8 @@ impl Sequence {
                 };
                 let files: Vec<_> = files.into_iter().filter_map(numbered).collect();
                 match pattern.numbers {
-                    NumberKind::Whole => whole(pattern, files)?,
-                    NumberKind::Times => timed(files),
+                    NumberKind::Whole => group_by_number(pattern, files)?,
+                    NumberKind::Times => number_by_time(files),
                 }
             }
         };
@@ -467,7 +471,7 @@ impl Sequence {
         let kind = first.skeleton();
         let is_alike = |file: &&FrameCandidate| {
             file.skeleton() == kind
-                && (is_frame(file) || !may_be_piece(&file.path) || rests(file, patience))
+                && (is_frame(file) || !may_be_piece(&file.path) || is_unchanged_for(file, patience))
         };
         let (mut alike, others): (Vec<_>, Vec<_>) =
             files.iter().filter(is_alike).cloned().partition(is_frame);
@@ -493,10 +497,10 @@ impl Sequence {
     }
 
     /// Whether the file at `path` would be a frame if it existed.
-    pub fn takes(&self, path: &Path) -> bool {
+    pub fn would_include(&self, path: &Path) -> bool {
         let file = FrameCandidate::from(path.to_owned());
         let is_joined = matches!(self.source, Inputs::Together(_));
-        self.source.takes(path)
+        self.source.would_include(path)
             && !self.source.hides(path)
             && (is_joined
                 || self
@@ -515,7 +519,7 @@ impl Sequence {
 /// Changes the components of a glob that begin with a dot so that they do not match `.` and `..`.
 /// Otherwise, the glob would find frames outside the folder, and a search through several such
 /// components would never end.
-fn below(pattern: &str) -> String {
+fn without_dot_folders(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),
         _ => name.to_owned(),
@@ -640,7 +644,7 @@ fn missing(input: &Path) -> Option<SimulationError> {
 }
 
 /// Whether a file has not changed for at least `patience`.
-fn rests(file: &FrameCandidate, patience: Duration) -> bool {
+fn is_unchanged_for(file: &FrameCandidate, patience: Duration) -> bool {
     let modified = file.path.metadata().and_then(|metadata| metadata.modified());
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|since| since >= patience))
 }
@@ -707,12 +711,15 @@ mod tests {
     fn a_glob_does_not_match_files_in_subfolders() {
         let inputs = Inputs::Glob("sim/*_?.[xp]*".to_owned());
         assert!(
-            inputs.takes(Path::new("sim/f_1.xyz")) && inputs.takes(Path::new("sim/mesh_1.ply"))
+            inputs.would_include(Path::new("sim/f_1.xyz"))
+                && inputs.would_include(Path::new("sim/mesh_1.ply"))
         );
         for below in ["sim/mesh/f_1.ply", "sim/a_b/c_1.ply", "sim/a_1.p/c", "sim/a_/.ply"] {
-            assert!(!inputs.takes(Path::new(below)), "{below}");
+            assert!(!inputs.would_include(Path::new(below)), "{below}");
         }
-        assert!(Inputs::Glob("sim/**/*.xyz".to_owned()).takes(Path::new("sim/a/b/f_1.xyz")));
+        assert!(
+            Inputs::Glob("sim/**/*.xyz".to_owned()).would_include(Path::new("sim/a/b/f_1.xyz"))
+        );
     }
 
     #[cfg(unix)]

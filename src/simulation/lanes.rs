@@ -3,7 +3,7 @@
 use crate::grid::units::MemoryBudget;
 
 /// Minimum memory, in bytes, of a lane. With less memory per lane, fewer lanes are used.
-const LEAST: u64 = 64 << 20;
+const LEAST_LANE_MEMORY: u64 = 64 << 20;
 
 /// Threads and memory of each lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -27,7 +27,7 @@ impl Division {
     pub(super) fn of(frames: usize, threads: usize, budget: MemoryBudget, chunk: u64) -> Self {
         // Each lane has at least one thread, and each thread needs `chunk` bytes.
         let left = |lanes: usize| budget.0.saturating_sub(chunk * threads.max(lanes) as u64);
-        let affordable = |lanes: &usize| left(*lanes) / LEAST >= *lanes as u64;
+        let affordable = |lanes: &usize| left(*lanes) / LEAST_LANE_MEMORY >= *lanes as u64;
         let lanes = (1..=frames.min(threads + 1)).rev().find(affordable).unwrap_or(1);
         let budget = MemoryBudget(left(lanes));
         if lanes == 1 {
@@ -65,14 +65,14 @@ mod tests {
                     let division = Division::of(frames, threads, MemoryBudget(budget), chunk);
                     let Division { lanes, opening, share, alone, .. } = division;
                     if lanes > 1 {
-                        let beside = (lanes * division.threads) as u64 * chunk;
+                        let reserved = (lanes * division.threads) as u64 * chunk;
                         assert!(
-                            lanes as u64 * (opening.0 + share.0) + beside <= budget,
+                            lanes as u64 * (opening.0 + share.0) + reserved <= budget,
                             "{division:?}"
                         );
-                        let beside = threads as u64 * chunk;
+                        let reserved = threads as u64 * chunk;
                         assert!(
-                            lanes as u64 * opening.0 + alone.0 + beside <= budget,
+                            lanes as u64 * opening.0 + alone.0 + reserved <= budget,
                             "{division:?}"
                         );
                     }

@@ -44,7 +44,7 @@ use super::shared_calibration::{FrameMeasurements, Trust, measure_in};
 /// ```
 #[derive(Debug)]
 pub struct LiveSimulation {
-    ready: StartedRequest,
+    started: StartedRequest,
     known: Option<KnownCalibration>,
     settled: bool,
 }
@@ -72,7 +72,7 @@ impl LiveSimulation {
     pub fn new(request: &Reconstruction) -> Result<Self, Error> {
         let checked = request.checked()?;
         checked.check_indicator()?;
-        Ok(Self { ready: checked.on_threads()?, known: None, settled: false })
+        Ok(Self { started: checked.on_threads()?, known: None, settled: false })
     }
 
     /// Whether cells, grid and calibration are fixed.
@@ -95,7 +95,7 @@ impl LiveSimulation {
     /// # Ok::<(), meniscus::Error>(())
     /// ```
     pub fn set_control(&mut self, request: &Reconstruction) {
-        Arc::make_mut(&mut self.ready.checked).resources.control = request.control.clone();
+        Arc::make_mut(&mut self.started.checked).resources.control = request.control.clone();
     }
 
     /// Reconstructs the surface of the next frame from borrowed particles.
@@ -110,9 +110,9 @@ impl LiveSimulation {
     }
 
     fn frame_of(&mut self, particles: &dyn Particles) -> Result<Surface, Error> {
-        let threads = Arc::clone(&self.ready.threads);
-        self.ready.checked.go_on()?;
-        let extracted = threads.install(|| match self.ready.checked.selected(particles)? {
+        let threads = Arc::clone(&self.started.threads);
+        self.started.checked.check_cancelled()?;
+        let extracted = threads.install(|| match self.started.checked.selected(particles)? {
             Some((selected, none)) => {
                 let mut extracted = self.extracted_or_empty(&selected)?;
                 extracted.report.warnings.extend(none.map(Warning::NoneSelected));
@@ -120,7 +120,7 @@ impl LiveSimulation {
             }
             None => self.extracted_or_empty(particles),
         })?;
-        Ok(Surface::new(extracted, &self.ready.checked, &threads, UpAxis::Y))
+        Ok(Surface::new(extracted, &self.started.checked, &threads, UpAxis::Y))
     }
 
     /// Makes the surface of a frame, or an empty mesh for a frame without particles.
@@ -134,21 +134,23 @@ impl LiveSimulation {
     }
 
     fn extracted(&mut self, particles: &dyn Particles) -> Result<ExtractedSurface, Error> {
-        let Self { ready, known, settled } = self;
-        let checked = &ready.checked;
+        let Self { started, known, settled } = self;
+        let checked = &started.checked;
         let mut timings = Timings::default();
         let mut spacing_warnings = Vec::new();
         let is_measured = !*settled;
         if is_measured {
             let found;
-            (found, spacing_warnings) = measured(ready, particles, known.as_ref())?;
+            (found, spacing_warnings) = measured(started, particles, known.as_ref())?;
             *settled = found.trust == Trust::Sound;
             *known = Some(found);
             timings.done("measure");
         }
-        let is_open =
+        let is_undetermined =
             |known: &&mut KnownCalibration| known.kinds.iter().any(|kind| !kind.is_evident);
-        if let Some(known) = known.as_mut().filter(is_open).filter(|_| !particles.is_empty()) {
+        if let Some(known) =
+            known.as_mut().filter(is_undetermined).filter(|_| !particles.is_empty())
+        {
             let carried = checked.settings.carried(particles, None)?;
             determine(&mut known.kinds, settled_for_all(particles, &carried));
         }
@@ -179,7 +181,7 @@ impl LiveSimulation {
             let known = (spacing, sizes.as_ref());
             spacing_warnings.extend(request.warning_of_sizes(known, particles)?);
         }
-        let (request, past) =
+        let (request, crossed) =
             request.in_walls_around(known_walls.as_ref(), particles, spacing, &grid);
         let request = request.in_slab(slab.filter(|slab| slab.holds(particles)));
         let sampling =
@@ -190,17 +192,18 @@ impl LiveSimulation {
         let mut extracted =
             checked.extract_or_empty(&engine, calibration.as_ref(), infos, None, &mut timings)?;
         extracted.report.timings = timings;
-        let past = past.into_iter().map(Warning::BeyondWall);
-        let first = spacing_warnings.into_iter().map(Warning::Spacing).chain(past).chain(missing);
+        let crossed = crossed.into_iter().map(Warning::BeyondWall);
+        let first =
+            spacing_warnings.into_iter().map(Warning::Spacing).chain(crossed).chain(missing);
         let first = first.chain(alpha);
         extracted.report.warnings.splice(0..0, first);
         Ok(extracted)
     }
 
     /// Returns the facts of a frame without particles. Before the first frame with particles, the
-    /// request determines the cell size; if the request does not, the cell size is 1.
+    /// request determines the cell size. If the request sets no cell size, it is 1.
     fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
-        let request = &self.ready.checked.sampling;
+        let request = &self.started.checked.sampling;
         let (grid, spacing) = match &self.known {
             Some(known) => (known.grid, known.spacing),
             None => {
@@ -219,7 +222,7 @@ impl LiveSimulation {
         particles: &dyn Particles,
         facts: FrameFacts,
     ) -> Result<ExtractedSurface, Error> {
-        let checked = &self.ready.checked;
+        let checked = &self.started.checked;
         let carried = checked.settings.carried(particles, None)?;
         let kinds = self.known.as_ref().map_or(&[][..], |known| &known.kinds);
         let particles = AlikeParticles::of(particles, &carried, kinds).map_err(FrameError::from)?;
@@ -231,15 +234,15 @@ impl LiveSimulation {
     }
 }
 
-/// Measures one frame for all frames. If the particles of the previously measured frame form a
-/// lattice, uses the grid, the method and the spacing of that frame. Also returns warnings about
-/// the spacing.
+/// Measures a frame, to calibrate all frames on it. If the particles of the previously measured
+/// frame form a lattice, uses the grid, the method and the spacing of that frame. Also returns
+/// warnings about the spacing.
 fn measured(
-    ready: &StartedRequest,
+    started: &StartedRequest,
     particles: &dyn Particles,
     before: Option<&KnownCalibration>,
 ) -> Result<(KnownCalibration, Vec<SpacingWarning>), Error> {
-    let checked = &ready.checked;
+    let checked = &started.checked;
     let request = &checked.sampling;
     let lattice = before.filter(|known| known.trust == Trust::Lattice);
     let cells = request.cells(particles, reconstruction::SpacingHints::default())?;

@@ -10,9 +10,9 @@ use super::frame_file::FrameFile;
 use super::inputs::Sequence;
 use super::pattern::{FrameCandidate, Pattern};
 
-/// Groups files into frames by the integers in their names. If the pattern has a place for the
-/// number of a piece, files with the same frame number are pieces of one frame.
-pub(super) fn whole(
+/// Groups files into frames by the integers in their names. If the pattern has a placeholder for
+/// the number of a piece, files with the same frame number are pieces of one frame.
+pub(super) fn group_by_number(
     pattern: &Pattern,
     files: Vec<(String, FrameCandidate)>,
 ) -> Result<Vec<FrameFile>, SimulationError> {
@@ -60,7 +60,7 @@ pub(super) fn whole(
 }
 
 /// Sorts files by the times in their names, and numbers them from 0.
-pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
+pub(super) fn number_by_time(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
     let time =
         |(digits, file): (String, FrameCandidate)| Some((digits.parse().ok()?, digits, file));
     let mut files: Vec<(f64, String, FrameCandidate)> =
@@ -81,7 +81,7 @@ pub(super) fn timed(files: Vec<(String, FrameCandidate)>) -> Vec<FrameFile> {
 /// # Errors
 /// [`SimulationError::Names`] if two simulations have no frame number in common, or if frames with
 /// the same number have different times.
-pub(super) fn joined(
+pub(super) fn join_simulations(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,
 ) -> Result<Vec<FrameFile>, SimulationError> {

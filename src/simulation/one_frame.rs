@@ -19,7 +19,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::input::file_and_step;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::series::SeriesFrame;
-use crate::io::time_codes::FRAMES_A_SECOND;
+use crate::io::time_codes::FRAMES_PER_SECOND;
 use crate::io::whole::{FilledFile, Replace};
 use crate::io::{ParticleFile, ReadError, ReadFault, WriteError, WriteFault};
 use crate::particles::AttributeInfo;
@@ -27,8 +27,8 @@ use crate::particles::alike::AlikeParticles;
 use crate::particles::kind::known_of;
 use crate::reconstruction::{
     CheckedRequest, ExtractedSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
-    SpacingWarning, TemporaryOutput, Warning, coordinate_width, made_of, missing_attributes,
-    of_alpha, refuse_same_file,
+    SpacingWarning, TemporaryOutput, Warning, coordinate_width, missing_attributes, of_alpha,
+    refuse_same_file, storage_warnings,
 };
 use crate::surface::mesh::source::BoundedMesh;
 use crate::system::control::Stage;
@@ -47,7 +47,7 @@ pub(super) struct ConvertedFrame {
 /// A frame whose mesh is written, but may not be on disk yet.
 pub(super) struct WrittenFrame {
     file: FilledFile,
-    held: TemporaryOutput,
+    temporary: TemporaryOutput,
     target: PathBuf,
     replaces: ReplaceableFiles,
     record: Record,
@@ -93,19 +93,19 @@ struct MeshableFrame<'a> {
 
 impl Conversion<'_> {
     /// Checks that a frame's mesh can be written, and opens the frame, unless its particles are
-    /// already open. A mesh that is made `again` may replace an earlier one.
+    /// already open. If `may_replace` is true, the mesh may replace any existing file.
     pub(super) fn open(
         &self,
         checked: &CheckedRequest,
         frame: &FrameFile,
         particles: Option<ParticleFile>,
-        again: bool,
+        may_replace: bool,
     ) -> Result<PreparedFrame, Error> {
         let mut timings = Timings::default();
         let simulation = self.setup.simulation;
         let path = &frame.path;
         let input = frame.stamp()?;
-        let replaces = if simulation.overwrite || again {
+        let replaces = if simulation.overwrite || may_replace {
             ReplaceableFiles::Anything
         } else if simulation.resume {
             ReplaceableFiles::Own
@@ -156,12 +156,12 @@ impl Conversion<'_> {
         let PreparedFrame { input, target, replaces, orientation, output, particles, mut timings } =
             opened;
         timings.skip();
-        let ready = match particles {
+        let meshable = match particles {
             Some(file) => self.sample(checked, frame, file, shared, &mut timings),
             None => self.unpack(checked, path, shared, &mut timings),
         };
         let MeshableFrame { frame: sampled, mut left_out, mut warnings, infos, time, permit } =
-            ready?;
+            meshable?;
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
                 let extract = || Self::surface(checked, path, sampled, shared, infos, &mut timings);
@@ -181,13 +181,13 @@ impl Conversion<'_> {
         checked.settings.check_attributes(&target, self.format, || Ok(mesh.attributes()))?;
         let width = coordinate_width(precision, self.format, &target)?;
         warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
-        warnings.extend(made_of(mesh, precision, self.format, &target)?);
+        warnings.extend(storage_warnings(mesh, precision, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = BoundedMesh::new(&turned);
         let number = frame.number as f64;
         let shown = time.or(settled.state.fps().map(|fps| number / fps));
-        let output = output.at(shown.unwrap_or(number / FRAMES_A_SECOND));
-        let (file, held) =
+        let output = output.at(shown.unwrap_or(number / FRAMES_PER_SECOND));
+        let (file, temporary) =
             permit.run(|| output.fill(&bounded, width, &checked.resources.control))?;
         if frame.stamp().ok() != Some(input) {
             return Err(ReadError::new(path, ReadFault::Changed).into());
@@ -225,23 +225,23 @@ impl Conversion<'_> {
         let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
         let done =
             ConvertedFrame { mesh: listed, time: shown, report, left_out, warnings, seconds };
-        Ok(WrittenFrame { file, held, target, replaces, record, small, done })
+        Ok(WrittenFrame { file, temporary, target, replaces, record, small, done })
     }
 
     /// Waits until the frame's mesh is on disk, renames it, and stores its record.
     pub(super) fn finish(&self, filled: WrittenFrame) -> Result<ConvertedFrame, Error> {
-        let WrittenFrame { file, held, target, replaces, record, small, done } = filled;
+        let WrittenFrame { file, temporary, target, replaces, record, small, done } = filled;
         if replaces == ReplaceableFiles::Own && self.is_foreign(&target, &record) {
             return Err(WriteError::new(&target, WriteFault::Exists).into());
         }
         if !self.format.is_read() {
             // The small mesh is stored before the record, so that it is never older than the
             // record.
-            self.small_meshes().keep(record.mesh.frame, small.as_deref())?;
+            self.small_meshes().store(record.mesh.frame, small.as_deref())?;
         }
         file.keep()?;
-        drop(held);
-        self.cancel().undisturbed(|| self.store.log.keep(&record))?;
+        drop(temporary);
+        self.cancel().undisturbed(|| self.store.log.append(&record))?;
         Ok(done)
     }
 
@@ -250,8 +250,8 @@ impl Conversion<'_> {
     /// its record, the existing file has the same bytes as the new mesh.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
-            let before = self.before.get_or_init(|| Records::read(self.store.folder()));
-            before.names(target) || made.is_whole(target)
+            let records = self.records_before.get_or_init(|| Records::read(self.store.folder()));
+            records.names(target) || made.is_whole(target)
         };
         target.symlink_metadata().is_ok() && !is_own()
     }
@@ -304,7 +304,8 @@ impl Conversion<'_> {
         let infos = known_of(&particles, &carried, &shared.kinds);
         let missing = missing_attributes(&infos, &shared.kinds, Some(shared.frame));
         let alpha = of_alpha(&particles);
-        let (mut sampling, past) = self.setup.sampling(shared, &particles, carried, opening)?;
+        let (mut sampling, wall_warnings) =
+            self.setup.sampling(shared, &particles, carried, opening)?;
         // Particles of several sizes have no single spacing to check.
         let known = shared.spacing.filter(|_| shared.sizes.is_none());
         if let Some(spacing) = known.filter(|_| self.unchecked.swap(false, Ordering::Relaxed)) {
@@ -329,10 +330,10 @@ impl Conversion<'_> {
             Err(FrameError::OverBudget(_)) => false,
             Err(_) => true,
         };
-        let beside = resources.backend.executor().divides() && fits;
+        let in_parallel = resources.backend.executor().divides() && fits;
         control.begin(Stage::Waiting);
-        let permit = if beside { self.gate.enter() } else { self.gate.enter_alone() };
-        let budget = if beside { share } else { alone };
+        let permit = if in_parallel { self.gate.enter() } else { self.gate.enter_alone() };
+        let budget = if in_parallel { share } else { alone };
         timings.done("wait");
         if matches!(counted, Err(FrameError::OverBudget(_))) {
             drop(counted);
@@ -353,7 +354,7 @@ impl Conversion<'_> {
         let none_selected = file.none_selected.clone().map(Warning::NoneSelected);
         let of_sizes = of_sizes.map(Warning::Spacing);
         let of_input = none_selected.into_iter().chain(parts).chain(missing).chain(alpha);
-        let warnings = past.into_iter().chain(of_sizes).chain(of_input).collect();
+        let warnings = wall_warnings.into_iter().chain(of_sizes).chain(of_input).collect();
         Ok(MeshableFrame { frame, left_out, warnings, infos, time: file.time, permit })
     }
 
@@ -363,8 +364,8 @@ impl Conversion<'_> {
         let CheckedRequest { settings, reduction, surfacing, .. } = self.setup.checked;
         let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());
         let lane = MemoryBudget(lane.0.saturating_sub(own.map_or(0, |solid| solid.bytes())));
-        let holds = settings.holds_whole_mesh(self.format);
-        if self.division.lanes > 1 && (holds || !reduction.is_none()) {
+        let holds_whole_mesh = settings.holds_whole_mesh(self.format);
+        if self.division.lanes > 1 && (holds_whole_mesh || !reduction.is_none()) {
             MemoryBudget(lane.0 / 2)
         } else {
             lane

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use crate::error::SimulationError;
 use crate::io::compression::plain_name;
 
-use super::placeholder::{Placeholder, all};
+use super::placeholder::{Placeholder, find_placeholders};
 
 /// The kind of numbers in the names of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -66,13 +66,14 @@ impl Pattern {
         let Some(name) = path.file_name().and_then(|name| name.to_str()) else { return Ok(None) };
         let folder = path.parent().unwrap_or(Path::new(""));
         let in_folder = folder.iter().filter_map(|name| name.to_str());
-        if in_folder.flat_map(all).next().is_some() && !folder.is_dir() {
+        if in_folder.flat_map(find_placeholders).next().is_some() && !folder.is_dir() {
             return wrong("{} must be in the file name, not in the name of a folder");
         }
-        let (pieces, mut found): (Vec<_>, Vec<_>) =
-            all(name).into_iter().partition(|(_, placeholder)| *placeholder == Placeholder::Piece);
-        let is_ours = |(at, _): &(Range<usize>, Placeholder)| name[at.start..].starts_with('{');
-        if !found.iter().all(is_ours) && path.is_file() {
+        let (pieces, mut found): (Vec<_>, Vec<_>) = find_placeholders(name)
+            .into_iter()
+            .partition(|(_, placeholder)| *placeholder == Placeholder::Piece);
+        let has_braces = |(at, _): &(Range<usize>, Placeholder)| name[at.start..].starts_with('{');
+        if !found.iter().all(has_braces) && path.is_file() {
             return Ok(None);
         }
         if found.len() > 1 || pieces.len() > 1 {
@@ -90,12 +91,12 @@ impl Pattern {
             Placeholder::Number(width) => (width, NumberKind::Whole),
             Placeholder::Time | Placeholder::Piece => (None, NumberKind::Times),
             Placeholder::Unknown(better) => {
-                let ours = folder.join(format!("{prefix}{better}{suffix}"));
+                let suggested = folder.join(format!("{prefix}{better}{suffix}"));
                 return wrong(&format!(
                     "{} does not stand for the frame number; use {{}}, or {{:04}} for four digits, \
                      as in \"{}\"",
                     &name[at],
-                    ours.display()
+                    suggested.display()
                 ));
             }
         };
@@ -109,7 +110,7 @@ impl Pattern {
     }
 
     /// The byte range of the number in a name; `None` if the name does not match the pattern.
-    pub(super) fn place(&self, name: &str) -> Option<Range<usize>> {
+    pub(super) fn number_range(&self, name: &str) -> Option<Range<usize>> {
         let digits =
             |text: &str| text.len() - text.trim_start_matches(|c: char| c.is_ascii_digit()).len();
         let start = match self.prefix.split_once(PIECE) {
@@ -145,16 +146,16 @@ impl Pattern {
 
     /// The digits of the number in a matching name, with the sign.
     pub(super) fn digits<'a>(&self, name: &'a str) -> Option<&'a str> {
-        self.place(name).map(|place| &name[place])
+        self.number_range(name).map(|range| &name[range])
     }
 
     /// The number of the piece in a matching name; 0 for frames without pieces.
     pub(super) fn piece(&self, name: &str) -> Option<u64> {
-        let place = self.place(name)?;
+        let range = self.number_range(name)?;
         let text = match (self.prefix.split_once(PIECE), self.suffix.split_once(PIECE)) {
-            (Some((before, after)), _) => &name[before.len()..place.start - after.len()],
+            (Some((before, after)), _) => &name[before.len()..range.start - after.len()],
             (None, Some((before, after))) => {
-                &name[place.end + before.len()..name.len() - after.len()]
+                &name[range.end + before.len()..name.len() - after.len()]
             }
             (None, None) => return Some(0),
         };
@@ -179,9 +180,9 @@ impl Pattern {
 /// Whether a name has placeholders, and all of them are in the notations of other programs.
 pub(super) fn is_foreign(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
-    let places = all(name);
+    let placeholders = find_placeholders(name);
     let is_foreign = |(at, _): &(Range<usize>, Placeholder)| !name[at.start..].starts_with('{');
-    !places.is_empty() && places.iter().all(is_foreign)
+    !placeholders.is_empty() && placeholders.iter().all(is_foreign)
 }
 
 pub(super) fn all_digits(text: &str) -> bool {

@@ -14,7 +14,7 @@ use crate::io::input::file_and_step;
 use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
 use crate::io::series::listed_meshes;
 use crate::io::stamp::is_same_file;
-use crate::io::up::up_said;
+use crate::io::up::recorded_up;
 use crate::io::whole::{MadeFolders, Replace, WholeFile};
 use crate::io::{UpAxis, WriteError, WriteFault};
 use crate::reconstruction::Threads;
@@ -33,8 +33,8 @@ const PNG: &str = "png";
 const APNG: &str = "apng";
 const KNOWN: &str = ".png, and .apng for an animation";
 /// Width and height, in pixels, of a picture on a contact sheet.
-const ON_SHEET: [usize; 2] = [640, 360];
-const IN_ANIMATION: [usize; 2] = [960, 540];
+const SHEET_SIZE: [usize; 2] = [640, 360];
+const ANIMATION_SIZE: [usize; 2] = [960, 540];
 /// Maximum number of pictures on a sheet. With more meshes, evenly spaced ones are drawn.
 const MOST_ON_SHEET: usize = 24;
 const COLUMNS: usize = 4;
@@ -166,9 +166,9 @@ enum PictureTarget {
 }
 
 impl Pictures {
-    /// Pictures of files, a folder, a glob, or a pattern with `{}` for the frame number. If the
-    /// picture does not set the up axis, it is the axis of the first mesh whose file or list of
-    /// frames records one, or y if there is no record.
+    /// A request for pictures of files, a folder, a glob, or a pattern with `{}` for the frame
+    /// number. If the picture does not set the up axis, it is the axis of the first mesh whose file
+    /// or list of frames records one, or y if there is no record.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,
@@ -245,8 +245,9 @@ impl Pictures {
             Some(frames) => (None, frames),
             None => self.frames()?,
         };
-        let said = || frames.iter().find_map(|frame| up_said(&frame.path)).unwrap_or(UpAxis::Y);
-        self.picture = self.picture.up_unless_set(said);
+        let default_up =
+            || frames.iter().find_map(|frame| recorded_up(&frame.path)).unwrap_or(UpAxis::Y);
+        self.picture = self.picture.up_unless_set(default_up);
         let target = self.target(sequence.as_ref(), &frames)?;
         let size = match target {
             PictureTarget::Sheet(_) => {
@@ -255,9 +256,9 @@ impl Pictures {
                     let chosen = (0..MOST_ON_SHEET).map(|n| n * (all - 1) / (MOST_ON_SHEET - 1));
                     frames = chosen.map(|n| frames[n].clone()).collect();
                 }
-                Some(ON_SHEET)
+                Some(SHEET_SIZE)
             }
-            PictureTarget::Animation(_) => Some(IN_ANIMATION),
+            PictureTarget::Animation(_) => Some(ANIMATION_SIZE),
             PictureTarget::One(_) | PictureTarget::Each(_) => None,
         };
         if let Some([width, height]) = size.filter(|_| !self.sized) {
@@ -280,13 +281,13 @@ impl Pictures {
             let files = files_in(mesh, |file| MeshFormat::of(file).is_some())?;
             match &files[..] {
                 [] => return Err(SimulationError::NoFiles(mesh.display().to_string()).into()),
-                [file] => return Ok((None, vec![alone(file)])),
+                [file] => return Ok((None, vec![single_mesh(file)])),
                 _ => Inputs::Files(files),
             }
         } else {
             match (Inputs::of(&self.meshes, None)?, &self.meshes[..]) {
                 (Some(inputs), [_, ..]) => inputs,
-                (_, [mesh]) => return Ok((None, vec![alone(mesh)])),
+                (_, [mesh]) => return Ok((None, vec![single_mesh(mesh)])),
                 _ => return Err(Error::Request("no mesh file; name at least one".into())),
             }
         };
@@ -420,14 +421,14 @@ impl Pictures {
                                 return Err(std::io::ErrorKind::Interrupted.into());
                             }
                         };
-                        let begun = match (animation.take(), out.take()) {
+                        let started = match (animation.take(), out.take()) {
                             (Some(animation), _) => Some(animation),
                             (None, Some(out)) => {
                                 Some(Animation::begin(out, &image, frames.len() as u32, self.fps)?)
                             }
                             (None, None) => None,
                         };
-                        animation = begun;
+                        animation = started;
                         if let Some(animation) = &mut animation {
                             animation.push(&image)?;
                         }
@@ -458,12 +459,12 @@ impl Pictures {
 
     fn image(&self, frame: &FrameFile) -> Result<Image, Error> {
         let mesh = self.read(frame)?;
-        let held = match &mesh {
+        let mesh_bytes = match &mesh {
             OpenedMesh::Whole(mesh) => mesh.bytes(),
             OpenedMesh::Streamed(_) => 0,
         };
         let picture = match self.memory {
-            Some(memory) => self.picture.clone().memory(memory.saturating_sub(held)),
+            Some(memory) => self.picture.clone().memory(memory.saturating_sub(mesh_bytes)),
             None => self.picture.clone(),
         };
         picture.draw(mesh.source()).map_err(|fault| of_file(frame, fault))
@@ -497,7 +498,7 @@ fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
 }
 
 /// A mesh file, whose name need not have a number.
-fn alone(path: &Path) -> FrameFile {
+fn single_mesh(path: &Path) -> FrameFile {
     FrameFile::new(0, String::new(), path.to_owned())
 }
 
@@ -577,7 +578,7 @@ impl Simulation {
     /// simulation may overwrite its outputs, or if it resumes and the file is a sheet of its
     /// meshes.
     ///
-    /// If this library cannot read the format of the meshes, [`run`](Self::run) then keeps a small
+    /// If this library cannot read the format of the meshes, [`run`](Self::run) then stores a small
     /// mesh of each frame next to the state, for this run and for runs that resume it.
     ///
     /// # Errors
@@ -585,7 +586,7 @@ impl Simulation {
     /// the same file as the sheet, [`Error::Request`] if the output is an archive, and
     /// [`Error::Simulation`] for names that do not determine frame numbers.
     pub fn sheet(&mut self) -> Result<Sheet, Error> {
-        let path = beside(&self.output);
+        let path = sheet_path(&self.output);
         if let Some(other) = self.also_written.iter().find(|other| is_same_file(other, &path)) {
             return Err(Error::SameFile { path: other.clone(), other: path });
         }
@@ -700,7 +701,7 @@ impl Sheet {
 }
 
 /// The path of the sheet, which is named after the meshes.
-fn beside(output: &Path) -> PathBuf {
+fn sheet_path(output: &Path) -> PathBuf {
     let is_folder = output.is_dir() || output.to_string_lossy().ends_with(std::path::is_separator);
     let stem = if is_folder { None } else { output.file_stem() };
     let stem = stem.map(|stem| stem.to_string_lossy().split('{').next().unwrap_or("").to_owned());

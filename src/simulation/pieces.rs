@@ -12,17 +12,17 @@ use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use crate::io::bi4::is_later_piece;
-use crate::io::frame_files::{pieces_named, snapshot_piece, snapshot_pieces};
+use crate::io::frame_files::{listed_pieces, snapshot_piece, snapshot_pieces};
 
 use super::pattern::{FrameCandidate, all_digits, digit_runs, skeleton};
 
 /// Returns the frames among `paths`, in the same order.
 pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
     // A file that cannot be read names no pieces; its conversion reports the error.
-    let (mut named, mut to_come) = (HashSet::new(), HashSet::new());
+    let (mut named, mut future_pieces) = (HashSet::new(), HashSet::new());
     for index in &paths {
-        for piece in pieces_named(index).unwrap_or_default() {
-            to_come.extend(naming(index, &piece));
+        for piece in listed_pieces(index).unwrap_or_default() {
+            future_pieces.extend(piece_naming(index, &piece));
             named.insert(piece);
         }
     }
@@ -38,17 +38,18 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
         }
     }
     let whole = |path: PathBuf| {
-        let is_to_come = || named_like(&path).is_some_and(|naming| to_come.contains(&naming));
-        if named.contains(&path) || is_later_piece(&path) || is_to_come() {
+        let is_future_piece =
+            || naming_scheme(&path).is_some_and(|scheme| future_pieces.contains(&scheme));
+        if named.contains(&path) || is_later_piece(&path) || is_future_piece() {
             return None;
         }
         match snapshot_piece(&path)
             .and_then(|(base, number)| Some((number, snapshots.get(&base)?, base)))
         {
             Some((number, snapshot, base)) if snapshot.in_pieces => {
-                let stands = !snapshot.has_base && number == snapshot.first;
+                let is_representative = !snapshot.has_base && number == snapshot.first;
                 // The frame's number is part of `base`, with which the names of all pieces begin.
-                stands.then(|| FrameCandidate {
+                is_representative.then(|| FrameCandidate {
                     runs: FrameCandidate::from(base).runs,
                     ..path.into()
                 })
@@ -62,15 +63,15 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
 /// The naming scheme of a frame's pieces: their folder, and the skeleton of their names. `None`
 /// unless `piece` is in the folder of the frame, and its name continues the frame's name with
 /// another number.
-fn naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
+fn piece_naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
     let stem = index.file_stem()?.to_str()?;
     let own = piece.file_name()?.to_str()?.strip_prefix(stem)?;
     let have_numbers = [stem, own].iter().all(|part| !digit_runs(part).is_empty());
-    (have_numbers && piece.parent() == index.parent()).then(|| named_like(piece))?
+    (have_numbers && piece.parent() == index.parent()).then(|| naming_scheme(piece))?
 }
 
 /// The folder of a file, and the skeleton of its name.
-fn named_like(path: &Path) -> Option<(PathBuf, String)> {
+fn naming_scheme(path: &Path) -> Option<(PathBuf, String)> {
     let name = path.file_name()?.to_str()?;
     Some((path.parent()?.to_owned(), skeleton(name, &digit_runs(name))))
 }
@@ -110,9 +111,10 @@ mod tests {
 
     #[test]
     fn a_piece_of_a_future_frame_is_recognised_by_the_pieces_of_another_frame() {
-        let naming = |index: &str, piece: &str| naming(Path::new(index), Path::new(piece));
-        let like = |name: &str| named_like(Path::new(name));
-        let pool = naming("sim/pool_0001.pvtp", "sim/pool_0001_0.vtp");
+        let piece_naming =
+            |index: &str, piece: &str| piece_naming(Path::new(index), Path::new(piece));
+        let like = |name: &str| naming_scheme(Path::new(name));
+        let pool = piece_naming("sim/pool_0001.pvtp", "sim/pool_0001_0.vtp");
         for name in ["sim/pool_0002_0.vtp", "sim/pool_0002_17.vtp", "sim/pool_1_0.vtp"] {
             assert_eq!(pool, like(name), "{name}");
         }
@@ -125,15 +127,15 @@ mod tests {
         ] {
             assert_ne!(pool, like(name), "{name}");
         }
-        assert_eq!(naming("run3.final.pvtu", "run3.final.p1.vtu"), like("run4.final.p0.vtu"));
-        assert_eq!(naming("a_1_v2.pvtu", "a_1_v2_0.vtu"), like("a_2_v2_1.vtu"));
+        assert_eq!(piece_naming("run3.final.pvtu", "run3.final.p1.vtu"), like("run4.final.p0.vtu"));
+        assert_eq!(piece_naming("a_1_v2.pvtu", "a_1_v2_0.vtu"), like("a_2_v2_1.vtu"));
         for (index, piece) in [
             ("a_1.pvtp", "b_1_0.vtp"),
             ("a.pvtp", "a_0.vtp"),
             ("a_1.pvtp", "a_1/a_1_0.vtp"),
             ("a_1.pvtp", "a_1.vtp"),
         ] {
-            assert_eq!(naming(index, piece), None, "{piece} of {index}");
+            assert_eq!(piece_naming(index, piece), None, "{piece} of {index}");
         }
     }
 

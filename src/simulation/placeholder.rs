@@ -17,16 +17,16 @@ pub(super) enum Placeholder {
 }
 
 /// The placeholders in a name, with their positions in bytes.
-pub(super) fn all(name: &str) -> Vec<(Range<usize>, Placeholder)> {
+pub(super) fn find_placeholders(name: &str) -> Vec<(Range<usize>, Placeholder)> {
     let mut found: Vec<(Range<usize>, Placeholder)> = Vec::new();
-    while let Some(next) = first(name, found.last().map_or(0, |(at, _)| at.end)) {
+    while let Some(next) = find_first(name, found.last().map_or(0, |(at, _)| at.end)) {
         found.push(next);
     }
     found
 }
 
 /// The first placeholder at or after `from`.
-fn first(name: &str, from: usize) -> Option<(Range<usize>, Placeholder)> {
+fn find_first(name: &str, from: usize) -> Option<(Range<usize>, Placeholder)> {
     let at = |(start, sign): (usize, char)| {
         let rest = &name[start..];
         let before = name[..start].chars().next_back();
@@ -150,7 +150,9 @@ mod tests {
 
     #[test]
     fn placeholders_are_found_in_the_notations_of_other_programs() {
-        let number = |name: &str| all(name).pop().map(|(at, placeholder)| (at.start, placeholder));
+        let number = |name: &str| {
+            find_placeholders(name).pop().map(|(at, placeholder)| (at.start, placeholder))
+        };
         for (name, width) in [
             ("f_{}.npy", None),
             ("f_{:04}.npy", Some(4)),

@@ -15,7 +15,7 @@ use crc32fast::Hasher;
 use serde::{Deserialize, Serialize};
 
 use crate::io::WriteError;
-use crate::io::frame_files::pieces_named;
+use crate::io::frame_files::listed_pieces;
 use crate::io::series::SeriesFrame;
 use crate::io::whole::{Replace, WholeFile};
 use crate::system::held;
@@ -54,7 +54,7 @@ impl Record {
 /// CRC-32 of a file's bytes and of the bytes of its pieces.
 fn crc(path: &Path) -> io::Result<u32> {
     let (mut crc, mut buffer) = (Hasher::new(), vec![0; 1 << 18]);
-    let pieces = pieces_named(path).map_err(io::Error::other)?;
+    let pieces = listed_pieces(path).map_err(io::Error::other)?;
     for path in std::iter::once(path).chain(pieces.iter().map(PathBuf::as_path)) {
         let mut file = File::open(path)?;
         loop {
@@ -157,12 +157,12 @@ impl Log {
     }
 
     /// Appends the record of a frame.
-    pub fn keep(&self, record: &Record) -> Result<(), SimulationError> {
+    pub fn append(&self, record: &Record) -> Result<(), SimulationError> {
         let mut line = serde_json::to_vec(record).expect("string keys and finite depth");
         line.push(b'\n');
         let mut file = self.file.lock().unwrap_or_else(PoisonError::into_inner);
         // If locks do not work between machines, another process may have mistaken this log for
-        // that of an ended process, and removed it.
+        // the log of an ended process, and removed it.
         let named = file.take().filter(has_name);
         let written = named.map_or_else(|| create(&self.folder), Ok).and_then(|mut named| {
             named.write_all(&line)?;
@@ -294,7 +294,7 @@ mod tests {
         let record = Record { input: Stamp::of(&input).unwrap(), ..record(1, 5) };
         let log = Log::new(folder.path().join("records"));
         fs::create_dir(log.folder()).unwrap();
-        log.keep(&record).unwrap();
+        log.append(&record).unwrap();
         let records = Records::read(log.folder());
         let frame = |number: i64| FrameFile::new(number, number.to_string(), input.clone());
         let current = |fingerprint| {
@@ -319,17 +319,17 @@ mod tests {
     fn merged_logs_are_one_ordered_file_in_which_the_latest_record_wins() {
         let folder = tempfile::tempdir().unwrap();
         let [first, second, alive] = [(); 3].map(|()| Log::new(folder.path().to_owned()));
-        let keep = |log: &Log, records: &[(i64, u32)]| {
+        let append = |log: &Log, records: &[(i64, u32)]| {
             records
                 .iter()
-                .for_each(|&(frame, fingerprint)| log.keep(&record(frame, fingerprint)).unwrap());
+                .for_each(|&(frame, fingerprint)| log.append(&record(frame, fingerprint)).unwrap());
         };
         let all =
             || Records::read(folder.path()).0.into_values().map(|r| (r.mesh.frame, r.fingerprint));
-        keep(&first, &[(12, 1), (3, 1)]);
-        keep(&second, &[(3, 2), (7, 2)]);
-        keep(&alive, &[(5, 3)]);
-        keep(&first, &[(7, 1)]);
+        append(&first, &[(12, 1), (3, 1)]);
+        append(&second, &[(3, 2), (7, 2)]);
+        append(&alive, &[(5, 3)]);
+        append(&first, &[(7, 1)]);
         assert_eq!(names(folder.path()), ["frames.1.jsonl", "frames.2.jsonl", "frames.3.jsonl"]);
         let before: Vec<_> = all().collect();
         assert_eq!(before, [(3, 2), (5, 3), (7, 2), (12, 1)]);
@@ -338,14 +338,14 @@ mod tests {
         second.merge().unwrap();
         assert_eq!(names(folder.path()), ["frames.3.jsonl", "frames.jsonl"], "an open log is kept");
         assert!(all().eq(before));
-        keep(&alive, &[(12, 3)]);
+        append(&alive, &[(12, 3)]);
         alive.merge().unwrap();
         assert_eq!(names(folder.path()), ["frames.jsonl"]);
         assert!(all().eq([(3, 2), (5, 3), (7, 2), (12, 3)]));
 
-        keep(&alive, &[(9, 5)]);
+        append(&alive, &[(9, 5)]);
         fs::remove_file(folder.path().join("frames.1.jsonl")).unwrap();
-        keep(&alive, &[(9, 6)]);
+        append(&alive, &[(9, 6)]);
         assert!(
             all().any(|record| record == (9, 6)),
             "the record is not written to the removed log"
@@ -353,7 +353,7 @@ mod tests {
         fs::remove_file(folder.path().join("frames.1.jsonl")).unwrap();
 
         let whole = fs::read(folder.path().join("frames.jsonl")).unwrap();
-        keep(&alive, &[(4, 4), (3, 4)]);
+        append(&alive, &[(4, 4), (3, 4)]);
         let log = folder.path().join("frames.1.jsonl");
         let bytes = fs::read(&log).unwrap();
         fs::write(&log, &bytes[..bytes.len() - 2]).unwrap();

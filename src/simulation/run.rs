@@ -11,7 +11,7 @@ use crate::error::{Cause, Error, SimulationError, WhyOne};
 use crate::io::alembic::frame_archive::FrameArchive;
 use crate::io::mnf::is_packed;
 use crate::io::series::Series;
-use crate::io::whole::{MadeFolders, sweep, sweep_beside};
+use crate::io::whole::{MadeFolders, sweep, sweep_folder_of};
 use crate::io::{ReadError, ReadFault, WriteError, WriteFault};
 use crate::reconstruction::CheckedRequest;
 use crate::system::cancel::UnfinishedOutput;
@@ -34,7 +34,7 @@ use super::state::{State, StateFolder, StateLookup};
 const ATTEMPTS: usize = 3;
 
 /// The inputs of one of several simulations, as text, and the simulation's result.
-type Each<T> = (String, Result<T, Arc<Error>>);
+type SimulationResult<T> = (String, Result<T, Arc<Error>>);
 
 /// A simulation whose request was checked.
 struct CheckedSimulation<'a> {
@@ -46,19 +46,19 @@ struct CheckedSimulation<'a> {
 }
 
 impl Simulation {
-    /// Converts all frames, and calls `hear` with each event, on the caller's thread. Returns a
+    /// Converts all frames, and calls `on_event` with each event, on the caller's thread. Returns a
     /// summary of each simulation.
     ///
     /// A frame that fails does not stop the other frames: [`Summary::failed`] lists it. The work
-    /// waits for a slow `hear`, so `hear` must not wait for threads of the request's
+    /// waits for a slow `on_event`, so `on_event` must not wait for threads of the request's
     /// [pool](crate::Reconstruction::pool).
     ///
     /// # Errors
     /// The errors of [`Reconstruction::run`](crate::Reconstruction::run) that concern all frames,
     /// [`Error::Simulation`], [`Error::SameFile`], [`Error::Write`] if no more files can be
     /// written, [`Error::Vulkan`], and [`Error::Cancelled`].
-    pub fn run(&self, hear: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
-        let converted = self.each(hear, |begun| self.convert(begun))?;
+    pub fn run(&self, on_event: impl FnMut(Event)) -> Result<Vec<Summary>, Error> {
+        let converted = self.for_each_simulation(on_event, |checked| self.convert(checked))?;
         let summed = |(inputs, converted): (String, Result<Summary, Arc<Error>>)| {
             converted.unwrap_or_else(|error| Summary {
                 inputs,
@@ -71,14 +71,14 @@ impl Simulation {
 
     /// Converts a simulation. If the calibration frame changes meanwhile, measures the calibration
     /// again, and remakes the frames that used the old one.
-    fn convert(&self, begun: CheckedSimulation<'_>) -> Result<Summary, Error> {
+    fn convert(&self, checked: CheckedSimulation<'_>) -> Result<Summary, Error> {
         // Later passes can resume: by then, all existing outputs come from this conversion.
         let resumed = Self { resume: true, ..self.clone() };
-        let first = begun.setup;
-        let mut ran = self.convert_once(begun)?;
+        let first = checked.setup;
+        let mut end = self.convert_once(checked)?;
         let mut attempts = 0;
         loop {
-            let changed = match ran {
+            let changed = match end {
                 ConversionEnd::Ended(summary) => return Ok(*summary),
                 ConversionEnd::Outdated(path) => path,
             };
@@ -88,20 +88,20 @@ impl Simulation {
             }
             let (outputs, archive) = (first.outputs.clone(), first.archive.clone());
             let setup = Setup { simulation: &resumed, outputs, archive, ..*first };
-            let begun = resumed.begin(&setup, setup.frames()?)?;
-            ran = resumed.convert_once(begun)?;
+            let checked = resumed.begin(&setup, setup.frames()?)?;
+            end = resumed.convert_once(checked)?;
         }
     }
 
-    fn convert_once(&self, begun: CheckedSimulation<'_>) -> Result<ConversionEnd, Error> {
-        let CheckedSimulation { setup, series, mut store, frames, found } = begun;
+    fn convert_once(&self, checked: CheckedSimulation<'_>) -> Result<ConversionEnd, Error> {
+        let CheckedSimulation { setup, series, mut store, frames, found } = checked;
         let _folders = prepare_folder(setup, &store)?;
-        let kept = store.begin(found, true)?;
-        if let Some(state) = &kept {
-            setup.send(resumed(&store, state));
+        let known = store.begin(found, true)?;
+        if let Some(state) = &known {
+            setup.send(resumed_event(&store, state));
         }
-        let wanted = frames.iter().filter(|frame| self.wants(frame.number)).count();
-        convert(&Conversion::new(setup, series.format, store, wanted), kept, &frames, &series)
+        let wanted = frames.iter().filter(|frame| self.includes(frame.number)).count();
+        convert(&Conversion::new(setup, series.format, store, wanted), known, &frames, &series)
     }
 
     /// Calibrates all frames, stores the calibration next to the outputs, and returns the frame
@@ -109,17 +109,17 @@ impl Simulation {
     ///
     /// # Errors
     /// The errors of [`run`](Self::run).
-    pub fn plan(&self, hear: impl FnMut(Event)) -> Result<Vec<i64>, Error> {
+    pub fn plan(&self, on_event: impl FnMut(Event)) -> Result<Vec<i64>, Error> {
         let plan = Self { watch: None, planned: true, ..self.clone() };
-        let numbers = plan.each(hear, |begun| {
-            let CheckedSimulation { setup, mut store, frames, found, .. } = begun;
+        let numbers = plan.for_each_simulation(on_event, |checked| {
+            let CheckedSimulation { setup, mut store, frames, found, .. } = checked;
             let _folders = prepare_folder(setup, &store)?;
             match store.begin(found, false)? {
-                Some(state) => setup.send(resumed(&store, &state)),
+                Some(state) => setup.send(resumed_event(&store, &state)),
                 None => drop(setup.state(&store, &frames, &setup.checked.resources)?),
             }
             let wanted =
-                frames.iter().map(|frame| frame.number).filter(|&number| plan.wants(number));
+                frames.iter().map(|frame| frame.number).filter(|&number| plan.includes(number));
             Ok(wanted.collect::<Vec<_>>())
         })?;
         // Only one simulation can be planned at once.
@@ -130,10 +130,11 @@ impl Simulation {
     ///
     /// # Errors
     /// The errors of [`run`](Self::run).
-    pub fn forecast(&self, hear: impl FnMut(Event)) -> Result<Vec<Forecast>, Error> {
-        let forecasts = self.each(hear, |begun| {
-            let CheckedSimulation { setup, store, frames, found, .. } = begun;
-            let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
+    pub fn forecast(&self, on_event: impl FnMut(Event)) -> Result<Vec<Forecast>, Error> {
+        let forecasts = self.for_each_simulation(on_event, |checked| {
+            let CheckedSimulation { setup, store, frames, found, .. } = checked;
+            let wanted: Vec<_> =
+                frames.iter().filter(|frame| self.includes(frame.number)).collect();
             setup.forecast(found.kept(), &store, &frames, &wanted)
         })?;
         Ok(forecasts.into_iter().filter_map(|(_, forecast)| forecast.ok()).collect())
@@ -148,8 +149,9 @@ impl Simulation {
         }
         let mut frames = Vec::new();
         for sequence in self.names().ok()?.0.simulations(None).ok()? {
-            frames
-                .extend(sequence.list().ok()?.into_iter().filter(|frame| self.wants(frame.number)));
+            frames.extend(
+                sequence.list().ok()?.into_iter().filter(|frame| self.includes(frame.number)),
+            );
         }
         let files: HashSet<&Path> = frames.iter().flat_map(FrameFile::paths).collect();
         crate::backend::choice::bytes_of(files)
@@ -189,13 +191,13 @@ impl Simulation {
 
     /// Returns the existing simulations with their selected frames. When watching, waits for the
     /// first frame.
-    fn found(
+    fn find_simulations(
         &self,
         inputs: &Inputs,
         checked: &CheckedRequest,
         events: &EventSender,
     ) -> Result<(Vec<Sequence>, Vec<Vec<FrameFile>>), Error> {
-        let look = || {
+        let list = || {
             let simulations = inputs.simulations(self.watch)?;
             let solids = SolidNames::of(&checked.settings)?;
             let frames = simulations
@@ -204,41 +206,43 @@ impl Simulation {
             let frames = frames.collect::<Result<Vec<_>, SimulationError>>()?;
             Ok::<_, Error>((simulations, frames))
         };
-        let (begun, mut found) = (Instant::now(), look()?);
+        let (start, mut found) = (Instant::now(), list()?);
         let is_early = |(simulations, frames): &(Vec<Sequence>, Vec<Vec<FrameFile>>)| {
             simulations.len() < 2 && frames.iter().all(Vec::is_empty)
         };
         if let Some(idle) = self.watch.filter(|_| is_early(&found)) {
             events.send(Event::Waiting { inputs: inputs.describe(), unsuitable: 0 });
-            while is_early(&found) && begun.elapsed().as_secs_f64() <= idle {
-                checked.go_on()?;
+            while is_early(&found) && start.elapsed().as_secs_f64() <= idle {
+                checked.check_cancelled()?;
                 sleep(POLL);
-                found = look()?;
+                found = list()?;
             }
         }
         Ok(found)
     }
 
-    /// Runs `act` for each simulation in turn on another thread, and passes their events to `hear`
-    /// on this thread. Returns the inputs and the result of each simulation, or an error that
-    /// concerns all simulations.
-    fn each<T: Send>(
+    /// Runs `act` for each simulation in turn on another thread, and passes their events to
+    /// `on_event` on this thread. Returns the inputs and the result of each simulation, or an
+    /// error that concerns all simulations.
+    fn for_each_simulation<T: Send>(
         &self,
-        hear: impl FnMut(Event),
+        on_event: impl FnMut(Event),
         act: impl Fn(CheckedSimulation<'_>) -> Result<T, Error> + Sync,
-    ) -> Result<Vec<Each<T>>, Error> {
-        with_events(&self.request.control.cancel, hear, |events| self.run_each(events, &act))
+    ) -> Result<Vec<SimulationResult<T>>, Error> {
+        with_events(&self.request.control.cancel, on_event, |events| {
+            self.run_each_simulation(events, &act)
+        })
     }
 
-    fn run_each<T: Send>(
+    fn run_each_simulation<T: Send>(
         &self,
         events: &EventSender,
         act: &(impl Fn(CheckedSimulation<'_>) -> Result<T, Error> + Sync),
-    ) -> Result<Vec<Each<T>>, Error> {
+    ) -> Result<Vec<SimulationResult<T>>, Error> {
         let (inputs, naming, checked) = self.prepare()?;
-        let ready = checked.clone().on_threads()?;
-        let found = || self.found(&inputs, &checked, events);
-        let (simulations, frames) = ready.threads.install(found)?;
+        let started = checked.clone().on_threads()?;
+        let found = || self.find_simulations(&inputs, &checked, events);
+        let (simulations, frames) = started.threads.install(found)?;
         if simulations.is_empty() {
             return Err(inputs.no_frames().into());
         }
@@ -258,12 +262,12 @@ impl Simulation {
         {
             return Err(SimulationError::Joined(joined.describe()).into());
         }
-        checked.go_on()?;
-        ready.threads.install(|| {
+        checked.check_cancelled()?;
+        started.threads.install(|| {
             let mut results = Vec::new();
             for (sequence, frames) in simulations.iter().zip(frames) {
                 let (outputs, archive) = (naming.outputs(sequence), naming.archive());
-                let checked = &ready.checked;
+                let checked = &started.checked;
                 let setup = Setup { simulation: self, sequence, outputs, archive, checked, events };
                 let timed = frames.first().filter(|_| sequence.infers_times());
                 if let Some((frame, time)) = timed.and_then(|frame| Some((frame, frame.time?))) {
@@ -338,23 +342,24 @@ impl Simulation {
             return Err(SimulationError::Names(what).into());
         }
         setup.refuse_own_inputs(&frames, &series, &store)?;
-        let wanted: Vec<_> = frames.iter().filter(|frame| self.wants(frame.number)).collect();
+        let wanted: Vec<_> = frames.iter().filter(|frame| self.includes(frame.number)).collect();
         if wanted.is_empty() && self.watch.is_none() {
             return Err(SimulationError::NoFrameSelected(setup.sequence.describe()).into());
         }
         // Without a state, existing files are not from this conversion. They are looked up before
-        // `kept_state` reads the state, because another process that starts meanwhile writes the
+        // `find_state` reads the state, because another process that starts meanwhile writes the
         // state before its first output.
         let is_new = !self.overwrite && store.text()?.is_none();
         let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
-        let there = wanted.iter().map(|frame| setup.shown_output(frame)).find(|path| path.exists());
-        let found = setup.kept_state(&store, &frames)?;
+        let existing =
+            wanted.iter().map(|frame| setup.shown_output(frame)).find(|path| path.exists());
+        let found = setup.find_state(&store, &frames)?;
         let refused = if matches!(found, StateLookup::Nothing) {
             foreign.map(|path| (path, WriteFault::Exists))
         } else if self.overwrite || self.resume || self.planned {
             None
         } else {
-            there.map(|path| (path, WriteFault::ExistsInSimulation))
+            existing.map(|path| (path, WriteFault::ExistsInSimulation))
         };
         if let Some((path, fault)) = refused {
             return Err(WriteError::new(&path, fault).into());
@@ -371,7 +376,7 @@ fn concerns_one(error: &Error) -> bool {
 }
 
 /// The event for a conversion that is resumed.
-fn resumed(store: &StateFolder, state: &State) -> Event {
+fn resumed_event(store: &StateFolder, state: &State) -> Event {
     Event::Resumed { state: store.state_path(), shared: Box::new(state.shared.clone()) }
 }
 
@@ -387,7 +392,7 @@ fn prepare_folder(
         || MadeFolders::of(store.folder()).map_err(|error| WriteError::new(folder, error.fault));
     let made = cancel.guard(make, |made| made.paths().to_vec())?;
     sweep(folder);
-    setup.archive.iter().for_each(|archive| sweep_beside(archive.path()));
+    setup.archive.iter().for_each(|archive| sweep_folder_of(archive.path()));
     sweep(store.folder());
     SmallMeshes::beside(store.folder()).sweep();
     Ok(made)

@@ -10,7 +10,7 @@ use crate::frame::{Method, Resources, Sampling};
 use crate::io::alembic::frame_archive::{ArchivedFrames, FrameArchive};
 use crate::io::frame_files::files_of;
 use crate::io::input::file_and_step;
-use crate::io::joined::refuse_twice;
+use crate::io::joined::check_distinct_files;
 use crate::io::mnf::is_packed;
 use crate::io::output::MeshFormat;
 use crate::io::series::{Series, SeriesFrame};
@@ -19,7 +19,7 @@ use crate::io::{WriteError, WriteFault};
 use crate::particles::Particles;
 use crate::reconstruction::{CheckedRequest, Warning};
 use crate::settings::StoredSettings;
-use crate::surface::simplify::BYTES_A_THREAD;
+use crate::surface::simplify::BYTES_PER_THREAD;
 
 use super::builder::Simulation;
 use super::event::Event;
@@ -36,7 +36,7 @@ use super::state::{State, StateFolder, StateLookup, with_frame_rate};
 /// Time between two checks of a running simulation for new frames.
 pub(super) const POLL: Duration = Duration::from_millis(250);
 
-/// A simulation before any of its frames is read.
+/// The request for one simulation and the names of its files, before any frame is read.
 pub(super) struct Setup<'a> {
     pub(super) simulation: &'a Simulation,
     pub(super) sequence: &'a Sequence,
@@ -78,10 +78,10 @@ impl ExistingMeshes {
         &self,
         listed: &BTreeSet<i64>,
         folder: &Path,
-        wants: impl Fn(i64) -> bool,
+        includes: impl Fn(i64) -> bool,
     ) -> Vec<PathBuf> {
         let others = self.records.all().map(|record| &record.mesh);
-        let others = others.filter(|mesh| !listed.contains(&mesh.frame) && wants(mesh.frame));
+        let others = others.filter(|mesh| !listed.contains(&mesh.frame) && includes(mesh.frame));
         let files = others.map(|mesh| folder.join(&mesh.file));
         files.filter(|file| file.is_file()).collect()
     }
@@ -124,8 +124,8 @@ impl Setup<'_> {
     }
 
     /// Returns an error if the work was cancelled.
-    pub(super) fn go_on(&self) -> Result<(), Error> {
-        self.checked.go_on()
+    pub(super) fn check_cancelled(&self) -> Result<(), Error> {
+        self.checked.check_cancelled()
     }
 
     /// All existing frames.
@@ -158,7 +158,7 @@ impl Setup<'_> {
     ) -> Result<(Sampling, Vec<Warning>), Error> {
         let (request, grid) = (&self.checked.sampling, shared.grid()?);
         let walls = shared.walls.as_ref();
-        let (request, past) = request.in_walls_around(walls, particles, shared.spacing, &grid);
+        let (request, crossed) = request.in_walls_around(walls, particles, shared.spacing, &grid);
         let method = request.method.calibrated(shared.calibration.as_ref());
         let slab = shared.slab.filter(|slab| slab.holds(particles));
         let request = request.in_slab(slab);
@@ -172,14 +172,14 @@ impl Setup<'_> {
         let sampling =
             sampling.sized(shared.sizes.as_ref().filter(|_| !particles.is_empty()), particles)?;
         let sampling = Sampling { kinds: shared.kinds.clone(), ..sampling };
-        Ok((sampling, past.into_iter().map(Warning::BeyondWall).collect()))
+        Ok((sampling, crossed.into_iter().map(Warning::BeyondWall).collect()))
     }
 
     /// Divides the threads and the memory among `frames` frames.
     pub(super) fn division(&self, frames: usize) -> Division {
         let CheckedRequest { resources, reduction, threads, .. } = self.checked;
         let frames = if resources.backend.executor().divides() { frames } else { frames.min(2) };
-        let chunk = reduction.tolerance.map_or(0, |_| BYTES_A_THREAD);
+        let chunk = reduction.tolerance.map_or(0, |_| BYTES_PER_THREAD);
         Division::of(frames, *threads, resources.budget, chunk)
     }
 
@@ -225,13 +225,13 @@ impl Setup<'_> {
             .collect();
         for frame in frames {
             if !frame.others.is_empty() {
-                refuse_twice(frame.paths())?;
+                check_distinct_files(frame.paths())?;
             }
             let output = self.output(frame);
             if let Some(input) = inputs.get(&Identity::of(&output)) {
                 return Err(same_file(&output, input));
             }
-            if self.sequence.takes(&output) {
+            if self.sequence.would_include(&output) {
                 return Err(Error::Request(format!(
                     "{}: this mesh would look like an input frame of {}; choose another name or \
                      folder for the meshes",
@@ -257,7 +257,7 @@ impl Setup<'_> {
 
     /// The settings of the request as a state stores them. A request without a frame rate takes the
     /// rate of `known`, the state of earlier frames, unless it replaces these frames.
-    pub(super) fn kept_settings(&self, known: Option<&State>) -> StoredSettings {
+    pub(super) fn settings_to_store(&self, known: Option<&State>) -> StoredSettings {
         let Simulation { fps, resume, overwrite, .. } = *self.simulation;
         let continues = resume || !overwrite;
         let recorded = || known.filter(|_| continues).and_then(State::fps);
@@ -268,28 +268,28 @@ impl Setup<'_> {
     /// outputs may be replaced, or if the conversion is resumed and only the calibration frame has
     /// changed. Otherwise, a difference is an error. A state is also stale if this process alone
     /// makes all frames again, because another frame may be better for the calibration by now.
-    pub(super) fn kept_state(
+    pub(super) fn find_state(
         &self,
         store: &StateFolder,
         frames: &[FrameFile],
     ) -> Result<StateLookup, Error> {
         let Some(text) = store.text()? else { return Ok(StateLookup::Nothing) };
-        let anew = self.simulation.overwrite;
+        let overwrite = self.simulation.overwrite;
         let state = match store.parsed(&text) {
-            Err(_) if anew => return Ok(StateLookup::Stale { text, of_others: true }),
+            Err(_) if overwrite => return Ok(StateLookup::Stale { text, of_others: true }),
             found => found?,
         };
-        if !anew {
+        if !overwrite {
             self.refuse_other_inputs(store, &state, frames)?;
         }
-        let mut differing = state.differing(&self.kept_settings(Some(&state)));
+        let mut differing = state.differing(&self.settings_to_store(Some(&state)));
         let of_others = !differing.is_empty();
         if state.shared.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}the input of frame {}", state.shared.frame);
         }
-        let alone = self.simulation.makes_all_again() && !store.log.others_are_open();
-        if differing.is_empty() && alone {
+        let is_alone = self.simulation.makes_all_again() && !store.log.others_are_open();
+        if differing.is_empty() && is_alone {
             return Ok(StateLookup::Stale { text, of_others: false });
         }
         if differing.is_empty() {
@@ -298,13 +298,13 @@ impl Setup<'_> {
             }
             let what = "the calibration is missing, or belongs to another surface".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
-            return if anew {
+            return if overwrite {
                 Ok(StateLookup::Stale { text, of_others: true })
             } else {
                 Err(damaged.into())
             };
         }
-        if anew || self.simulation.resume && !of_others {
+        if overwrite || self.simulation.resume && !of_others {
             self.send(Event::Restarted { state: store.state_path(), differing });
             return Ok(StateLookup::Stale { text, of_others });
         }
@@ -320,7 +320,8 @@ impl Setup<'_> {
         state: &State,
         frames: &[FrameFile],
     ) -> Result<(), Error> {
-        let (Some(recorded), Some(inputs)) = (state.inputs.clone(), self.sequence.place()) else {
+        let (Some(recorded), Some(inputs)) = (state.inputs.clone(), self.sequence.location())
+        else {
             return Ok(());
         };
         if recorded == inputs {

@@ -131,12 +131,12 @@ pub(super) fn measure_in(
     Ok(measure(particles, &sampling, origin, &checked.surfacing)?)
 }
 
-/// Measures a frame for its whole simulation.
+/// Measures a frame, to calibrate its simulation on it.
 ///
 /// The particles of the first frame often form a lattice in a special position relative to the
 /// grid. Such a frame is measured on a moved grid, on which it is sampled like disordered fluid. If
 /// the origin is free, all frames are sampled on the moved grid: see
-/// [`sound_origin`](crate::particles::lattice::sound_origin). For symmetry, the moved grid
+/// [`lattice_origin`](crate::particles::lattice::lattice_origin). For symmetry, the moved grid
 /// suffices. For counting, the isovalue must come from a disordered frame. Clouds do not depend on
 /// the position of the grid.
 ///
@@ -151,16 +151,16 @@ pub fn measure(
     sampling.check_fit(surfacing)?;
     let given = sampling.grid;
     let lattice = origin_for_lattice(particles, sampling);
-    let sound =
+    let moved_sampling =
         lattice.and_then(|origin| moved(sampling, origin)).unwrap_or_else(|| sampling.clone());
-    let grid = if origin == Origin::Free { sound.grid } else { given };
-    let nothing = FrameMeasurements { grid, calibration: None, trust: Trust::Sound };
-    if sound.method.indicator().is_none() {
-        return Ok(nothing);
+    let grid = if origin == Origin::Free { moved_sampling.grid } else { given };
+    let uncalibrated = FrameMeasurements { grid, calibration: None, trust: Trust::Sound };
+    if moved_sampling.method.indicator().is_none() {
+        return Ok(uncalibrated);
     }
     let frame = Engine::sample(
         particles,
-        &Sampling { carried: Vec::new(), ..sound },
+        &Sampling { carried: Vec::new(), ..moved_sampling },
         &mut Timings::default(),
     )?;
     match frame.dif() {
@@ -170,13 +170,13 @@ pub fn measure(
         }),
         None => {
             let measured = frame.calibrate(surfacing, None, &mut Timings::default())?.measured();
-            Ok(measured.map_or(nothing, |measured| measured_of(grid, &measured, false)))
+            Ok(measured.map_or(uncalibrated, |measured| measured_of(grid, &measured, false)))
         }
     }
 }
 
-/// Measures a sampled frame for its whole simulation. `lattice` says whether the frame's particles
-/// are on a lattice.
+/// Measures a sampled frame, to calibrate its simulation on it. `lattice` says whether the
+/// frame's particles are on a lattice.
 pub fn measure_sampled(
     frame: &SampledDif,
     surfacing: &Surfacing,
@@ -186,7 +186,7 @@ pub fn measure_sampled(
     Ok(measured_of(frame.facts.grid, &surfacing.calibrate(frame)?, lattice))
 }
 
-/// Measures a packed frame for its whole simulation.
+/// Measures a packed frame, to calibrate its simulation on it.
 pub(super) fn measure_packed(
     frame: &PackedFrame,
     surfacing: &Surfacing,

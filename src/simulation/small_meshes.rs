@@ -9,11 +9,11 @@ use crate::io::output::MeshFormat;
 use crate::io::whole::{make_folder, replace_small, sweep};
 use crate::io::{CoordinateWidth, WriteError};
 use crate::surface::mesh::Mesh;
-use crate::surface::mesh::clustered::{BYTES_A_VERTEX, clustered};
+use crate::surface::mesh::clustered::{BYTES_PER_VERTEX, clustered};
 use crate::surface::mesh::source::{Corners, MeshSource};
 
-/// Number of cells along the longest edge of a mesh's bounding box: about one cell for every second
-/// pixel of a picture on a sheet.
+/// Number of cells along the longest edge of a mesh's bounding box: about one cell per two pixels
+/// of a picture on a sheet.
 const CELLS: u32 = 160;
 
 /// The folder with one `.ply` file for each frame.
@@ -49,7 +49,7 @@ impl SmallMeshes {
     ) -> std::io::Result<Option<Vec<u8>>> {
         let small = match bounds {
             None => Mesh::default(),
-            Some(_) if mesh.vertex_count().saturating_mul(BYTES_A_VERTEX) > memory => {
+            Some(_) if mesh.vertex_count().saturating_mul(BYTES_PER_VERTEX) > memory => {
                 return Ok(None);
             }
             Some(bounds) => clustered(mesh, bounds, CELLS)?,
@@ -64,15 +64,15 @@ impl SmallMeshes {
     ///
     /// # Errors
     /// If the file cannot be written or removed.
-    pub(super) fn keep(&self, frame: i64, file: Option<&[u8]>) -> Result<(), WriteError> {
+    pub(super) fn store(&self, frame: i64, file: Option<&[u8]>) -> Result<(), WriteError> {
         let path = self.path(frame);
-        let kept = match file {
+        let stored = match file {
             Some(file) => make_folder(&self.0).and_then(|()| replace_small(&path, file)),
             None => fs::remove_file(&path).or_else(|fault| match fault.kind() {
                 ErrorKind::NotFound | ErrorKind::NotADirectory => Ok(()),
                 _ => Err(fault),
             }),
         };
-        kept.map_err(|fault| WriteError::new(&path, fault))
+        stored.map_err(|fault| WriteError::new(&path, fault))
     }
 }

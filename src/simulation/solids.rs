@@ -45,10 +45,10 @@ impl SolidNames {
     /// Sets the files of the solids of each frame. The files need not exist.
     pub(super) fn with_files(&self, mut frames: Vec<FrameFile>) -> Vec<FrameFile> {
         let numbered: Vec<_> =
-            self.numbered.iter().map(|pattern| (pattern, there(pattern))).collect();
+            self.numbered.iter().map(|pattern| (pattern, existing_files(pattern))).collect();
         for frame in &mut frames {
-            let own = numbered.iter().map(|(pattern, there)| {
-                let found = there.get(&frame.number).cloned();
+            let own = numbered.iter().map(|(pattern, files)| {
+                let found = files.get(&frame.number).cloned();
                 found.unwrap_or_else(|| pattern.path(frame.number, &frame.digits))
             });
             frame.solids = self.same.iter().cloned().chain(own).collect();
@@ -58,7 +58,7 @@ impl SolidNames {
 }
 
 /// The files that match a pattern, by their numbers.
-fn there(pattern: &Pattern) -> BTreeMap<i64, PathBuf> {
+fn existing_files(pattern: &Pattern) -> BTreeMap<i64, PathBuf> {
     let Ok(files) = std::fs::read_dir(pattern.folder()) else { return BTreeMap::new() };
     let mut names: Vec<String> =
         files.filter_map(|file| file.ok()?.file_name().into_string().ok()).collect();

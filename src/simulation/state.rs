@@ -34,7 +34,7 @@ pub struct State {
     pub settings: StoredSettings,
     /// The shared calibration.
     pub shared: SharedCalibration,
-    /// The [place](super::inputs::Sequence::place) of the inputs, if they have one.
+    /// The [location](super::inputs::Sequence::location) of the inputs, if they have one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub inputs: Option<String>,
 }
@@ -109,7 +109,7 @@ pub struct StateFolder {
     /// The fields of [`StateLookup::Stale`], if a stale state was found.
     stale: Option<(Vec<u8>, bool)>,
     /// Whether this process makes frames.
-    at_work: bool,
+    makes_frames: bool,
 }
 
 impl StateFolder {
@@ -117,7 +117,7 @@ impl StateFolder {
     pub fn beside(simulation: &Path) -> Self {
         let mut name = simulation.as_os_str().to_owned();
         name.push(".meniscus");
-        Self { log: Log::new(name.into()), stale: None, at_work: false }
+        Self { log: Log::new(name.into()), stale: None, makes_frames: false }
     }
 
     /// The folder of the state and the records.
@@ -166,9 +166,9 @@ impl StateFolder {
     }
 
     /// Begins a run with `found`, the result of the search for a state, and returns the state if it
-    /// belongs to the request. A stale state stays until [`add`](Self::add) replaces it. `at_work`
-    /// says whether this process makes frames. If so, it opens its log as soon as there is a valid
-    /// state, so that other processes can see that it is running.
+    /// belongs to the request. A stale state stays until [`add`](Self::add) replaces it.
+    /// `makes_frames` says whether this process makes frames. If so, it opens its log as soon as
+    /// there is a valid state, so that other processes can see that it is running.
     ///
     /// # Errors
     /// [`SimulationError::Busy`] if another process has meanwhile removed the state or stored one
@@ -177,9 +177,9 @@ impl StateFolder {
     pub fn begin(
         &mut self,
         found: StateLookup,
-        at_work: bool,
+        makes_frames: bool,
     ) -> Result<Option<State>, SimulationError> {
-        self.at_work = at_work;
+        self.makes_frames = makes_frames;
         match found {
             StateLookup::Nothing => Ok(None),
             StateLookup::Stale { text, of_others } => {
@@ -188,9 +188,9 @@ impl StateFolder {
             }
             StateLookup::Kept(state, text) => {
                 let settings = state.settings.clone();
-                let _alone = self.locked();
+                let _lock = self.locked();
                 let state = if self.text()? == Some(text) { Some(*state) } else { self.load()? };
-                let state = state.filter(|there| there.settings == settings);
+                let state = state.filter(|existing| existing.settings == settings);
                 let state = state.ok_or_else(|| SimulationError::Busy(self.state_path()))?;
                 self.open_log()?;
                 Ok(Some(state))
@@ -205,7 +205,7 @@ impl StateFolder {
     }
 
     fn open_log(&self) -> Result<(), SimulationError> {
-        if self.at_work { self.log.open() } else { Ok(()) }
+        if self.makes_frames { self.log.open() } else { Ok(()) }
     }
 
     /// Stores a state, replacing a stale one. If another process has meanwhile stored a state with
@@ -221,23 +221,23 @@ impl StateFolder {
         let fail = |fault| SimulationError::Io { path: path.clone(), fault };
         make_folder(folder)
             .map_err(|fault| SimulationError::Io { path: folder.to_owned(), fault })?;
-        let _alone = self.locked();
-        let there = self.text()?;
-        let kept = match (there, &self.stale) {
-            (Some(there), Some((stale, of_others))) if there == *stale => {
+        let _lock = self.locked();
+        let existing = self.text()?;
+        let stored = match (existing, &self.stale) {
+            (Some(existing), Some((stale, of_others))) if existing == *stale => {
                 if *of_others && self.log.others_are_open() {
                     return Err(SimulationError::Busy(path));
                 }
                 replace_small(&path, &json(state)).map_err(fail)?;
                 state.clone()
             }
-            (Some(there), _) => {
-                let there = self.parsed(&there)?;
-                let differing = there.differing(&state.settings);
+            (Some(existing), _) => {
+                let existing = self.parsed(&existing)?;
+                let differing = existing.differing(&state.settings);
                 if !differing.is_empty() {
                     return Err(SimulationError::Settings { path, differing });
                 }
-                there
+                existing
             }
             (None, _) => {
                 replace_small(&path, &json(state)).map_err(fail)?;
@@ -245,7 +245,7 @@ impl StateFolder {
             }
         };
         self.open_log()?;
-        Ok(kept)
+        Ok(stored)
     }
 
     /// Locks the state against other processes until the result is dropped, if the file system has
@@ -337,15 +337,15 @@ mod tests {
                 let busy = StateFolder::beside(&folder.path().join("fluid.ply"));
                 busy.log.open().unwrap();
                 let text = store.text().unwrap().unwrap();
-                let mut anew = StateFolder::beside(&folder.path().join("fluid.ply"));
+                let mut replacing = StateFolder::beside(&folder.path().join("fluid.ply"));
                 let stale = |of_others| StateLookup::Stale { text: text.clone(), of_others };
-                assert_eq!(anew.begin(stale(true), false).unwrap(), None);
-                assert_eq!(anew.load().unwrap(), store.load().unwrap(), "the old state stays");
-                assert!(matches!(anew.add(&other), Err(SimulationError::Busy(_))));
+                assert_eq!(replacing.begin(stale(true), false).unwrap(), None);
+                assert_eq!(replacing.load().unwrap(), store.load().unwrap(), "the old state stays");
+                assert!(matches!(replacing.add(&other), Err(SimulationError::Busy(_))));
                 drop(busy);
-                assert_eq!(anew.add(&other).unwrap(), other);
+                assert_eq!(replacing.add(&other).unwrap(), other);
                 // The stored state is no longer the stale one, and has other settings than `late`.
-                assert!(matches!(anew.add(&late), Err(SimulationError::Settings { .. })));
+                assert!(matches!(replacing.add(&late), Err(SimulationError::Settings { .. })));
                 fs::remove_file(store.state_path()).unwrap();
             }
         }

@@ -40,7 +40,7 @@ pub(super) struct Tally<'a> {
     /// The numbers of the frames that this run still has to convert.
     pub(super) awaited: BTreeSet<i64>,
     left_out: OmittedCounts,
-    begun: Instant,
+    start: Instant,
     /// The time of the last write of the series.
     series_written: Instant,
     /// Whether frames have finished since the last write of the series.
@@ -49,7 +49,7 @@ pub(super) struct Tally<'a> {
 
 impl<'a> Tally<'a> {
     pub(super) fn new(conversion: &'a Conversion<'a>, series: &'a Series) -> Self {
-        let begun = Instant::now();
+        let start = Instant::now();
         Self {
             conversion,
             series,
@@ -60,18 +60,18 @@ impl<'a> Tally<'a> {
             total: 0,
             awaited: BTreeSet::new(),
             left_out: OmittedCounts::default(),
-            begun,
-            series_written: begun,
+            start,
+            series_written: start,
             is_behind: false,
         }
     }
 
-    /// Adds frames that are already finished. A frame for which `is_looked_at` is true is added
+    /// Adds frames that are already finished. A frame for which `verify_bytes` is true is added
     /// only if the bytes of its mesh match the record.
     pub(super) fn list(
         &mut self,
         frames: &[FrameFile],
-        is_looked_at: impl Fn(&FrameFile) -> bool + Sync,
+        verify_bytes: impl Fn(&FrameFile) -> bool + Sync,
     ) {
         let meshes = self.conversion.setup.existing_meshes(&self.conversion.store);
         let Self { conversion, listed, failed, .. } = self;
@@ -80,7 +80,7 @@ impl<'a> Tally<'a> {
             let is_open = !listed.contains_key(&number) && !failed.contains_key(&number);
             let record = conversion.current(&meshes, frame).filter(|_| is_open)?;
             let is_done =
-                !is_looked_at(frame) || meshes.is_whole(record, &conversion.output(frame));
+                !verify_bytes(frame) || meshes.is_whole(record, &conversion.output(frame));
             is_done.then(|| (number, record.mesh.clone()))
         };
         let done: Vec<_> = frames.par_iter().filter_map(done).collect();
@@ -108,31 +108,31 @@ impl<'a> Tally<'a> {
     }
 
     /// Whether a frame is finished.
-    pub(super) fn lists(&self, frame: &FrameFile) -> bool {
+    pub(super) fn is_listed(&self, frame: &FrameFile) -> bool {
         self.listed.contains_key(&frame.number)
     }
 
     /// Whether the mesh of a listed frame was written to this file.
-    pub(super) fn has_made(&self, output: &Path) -> bool {
+    pub(super) fn is_listed_output(&self, output: &Path) -> bool {
         let name = output.file_name();
         self.listed.values().any(|mesh| name.is_some_and(|name| *name == *mesh.file))
     }
 
     /// Whether an error has occurred that would also occur in all other frames.
-    pub(super) fn is_broken(&self) -> bool {
+    pub(super) fn has_fatal_error(&self) -> bool {
         self.fatal.is_some()
     }
 
     /// Records the outcome of a frame. Returns whether the frame failed with an error that would
     /// also occur in all other frames.
-    pub(super) fn take(
+    pub(super) fn add_outcome(
         &mut self,
         frame: &FrameFile,
         result: Result<ConvertedFrame, Error>,
     ) -> Result<bool, Error> {
         let setup = self.conversion.setup;
         let result = match result {
-            Err(error) if ends_all(&error) => {
+            Err(error) if is_fatal(&error) => {
                 self.fatal.get_or_insert(error);
                 return Ok(true);
             }
@@ -247,14 +247,14 @@ impl<'a> Tally<'a> {
         let folder = archive.as_ref().map_or(outputs.folder(), FrameArchive::parent);
         // Other jobs may have finished frames meanwhile. The job that ends last lists the frames of
         // all jobs.
-        let alone = self.conversion.store.locked();
+        let lock = self.conversion.store.locked();
         let all = self.conversion.setup.all_frames()?;
         self.list(&all, |_| false);
         let meshes = self.conversion.setup.existing_meshes(&self.conversion.store);
         let without_input = self.list_others(&meshes, &all);
         let numbers: BTreeSet<i64> = self.listed.keys().copied().collect();
         let mut stale = meshes.stale(&numbers, outputs.folder(), |number| {
-            simulation.wants(number) && simulation.selection.spans(number)
+            simulation.includes(number) && simulation.selection.spans(number)
         });
         // A resumed run can still convert the frames that this run did not reach, so their meshes
         // are not stale.
@@ -267,7 +267,7 @@ impl<'a> Tally<'a> {
             rayon::join(|| self.write_series(), || cancel.undisturbed(|| log.merge()));
         written?;
         merged?;
-        drop(alone);
+        drop(lock);
         if cancel.is_cancelled() && self.done < self.total {
             self.fatal.get_or_insert(Error::Cancelled);
         }
@@ -303,7 +303,7 @@ impl<'a> Tally<'a> {
             stale,
             left_out: self.left_out,
             smoothed: indicator.is_some_and(|kind| kind != IndicatorKind::Cloud),
-            seconds: self.begun.elapsed().as_secs_f64(),
+            seconds: self.start.elapsed().as_secs_f64(),
         };
         self.conversion.setup.send(Event::Ended(Box::new(summary.clone())));
         self.fatal.map_or(Ok(summary), Err)
@@ -311,7 +311,7 @@ impl<'a> Tally<'a> {
 }
 
 /// Whether an error in one frame would also occur in all other frames.
-fn ends_all(error: &Error) -> bool {
+fn is_fatal(error: &Error) -> bool {
     match error {
         Error::Write(WriteError { fault: WriteFault::Io(fault), .. }) => {
             fault.kind() != ErrorKind::IsADirectory

@@ -238,7 +238,7 @@ fn sums(
 ) -> io::Result<Vec<Block<f64>>> {
     let mut sums: Vec<Block<i64>> = vec![Block::zero(cells); group.len() + 1];
     let mut greatest = 0.0;
-    let mut seen: Vec<usize> = Vec::new();
+    let mut indices: Vec<usize> = Vec::new();
     let mut values: Vec<f32> = Vec::new();
     for coord in cells.in_narrower_cells(level).cubes(BIN) {
         let Ok(bin) = bins.keys().binary_search(&MortonKey::of(coord)) else { continue };
@@ -247,14 +247,14 @@ fn sums(
         for ((local, _), tuple) in contents.particles().zip(tuples) {
             let cell = cell_of(coord, local) >> level;
             if cells.contains(cell) && tuple.iter().all(|x| x.is_finite()) {
-                seen.push(sums[0].index(cell));
+                indices.push(sums[0].index(cell));
                 values.extend_from_slice(&tuple[group.clone()]);
                 greatest = tuple.iter().fold(greatest, |greatest: f32, x| x.abs().max(greatest));
             }
         }
     }
     let fixed = FixedPoint::for_magnitude(greatest);
-    for (&index, tuple) in seen.iter().zip(values.chunks_exact(group.len())) {
+    for (&index, tuple) in indices.iter().zip(values.chunks_exact(group.len())) {
         for (sum, steps) in sums.iter_mut().zip(tuple.iter().map(|&x| fixed.steps(x)).chain([1])) {
             sum.samples_mut()[index] += steps;
         }

@@ -35,12 +35,13 @@ impl From<Cancelled> for io::Error {
 
 #[derive(Debug, Default)]
 struct CancelState {
-    asked: AtomicBool,
+    cancelled: AtomicBool,
     /// For each output in progress: its temporary files, followed by the folders that were created
     /// for them.
     unfinished: Mutex<Vec<PathBuf>>,
-    /// Work that [`abandon`](Cancel::abandon) must not interrupt holds this lock for reading.
-    /// `abandon` takes the lock for writing, and never releases it.
+    /// A thread holds this lock for reading while it does work that
+    /// [`abandon`](Cancel::abandon) must not interrupt. `abandon` takes the lock for writing, and
+    /// never releases it.
     undisturbed: RwLock<()>,
 }
 
@@ -54,13 +55,13 @@ impl Cancel {
     /// Cancels all work that has this handle. The work soon ends with the error [`Cancelled`].
     /// Every stage of a frame checks the handle.
     pub fn cancel(&self) {
-        self.0.asked.store(true, Ordering::Relaxed);
+        self.0.cancelled.store(true, Ordering::Relaxed);
     }
 
     /// Whether the work was cancelled.
     #[must_use]
     pub fn is_cancelled(&self) -> bool {
-        self.0.asked.load(Ordering::Relaxed)
+        self.0.cancelled.load(Ordering::Relaxed)
     }
 
     /// Returns an error if the work was cancelled.
@@ -71,11 +72,12 @@ impl Cancel {
         if self.is_cancelled() { Err(Cancelled) } else { Ok(()) }
     }
 
-    /// Removes all unfinished outputs, for a process that is about to exit. A thread that begins or
-    /// ends an output after this call waits forever.
+    /// Removes all unfinished outputs, for a process that is about to exit. Outputs that already
+    /// have their final name stay.
     ///
-    /// Outputs that already have their final name stay. If another thread is writing the record of
-    /// a frame, this function first waits for that thread.
+    /// First waits for threads that are writing a record of a conversion, such as the record of a
+    /// finished frame, or that are just beginning or ending an output. A thread that tries one of
+    /// these after this call waits forever.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         remove(&self.unfinished());
@@ -110,8 +112,8 @@ impl Cancel {
 
     /// Prepares an output, and registers its temporary files and folders, which `temporary` lists.
     /// [`abandon`](Self::abandon) removes registered paths: first the files, then the empty
-    /// folders. `abandon` cannot run between `prepare` and the registration, so nothing is left
-    /// behind.
+    /// folders. `abandon` cannot run between `prepare` and the registration, so it finds everything
+    /// that `prepare` created.
     pub(crate) fn guard<T, E>(
         &self,
         prepare: impl FnOnce() -> Result<T, E>,
@@ -121,36 +123,36 @@ impl Cancel {
         let output = prepare()?;
         let paths = temporary(&output);
         self.unfinished().extend(paths.clone());
-        Ok((output, UnfinishedOutput { of: self.clone(), paths }))
+        Ok((output, UnfinishedOutput { cancel: self.clone(), paths }))
     }
 }
 
-/// Suffixes of the folders that belong to a temporary file: the new folder, and the old folder that
+/// Suffixes of the companion folders of a temporary file: the new folder, and the old folder that
 /// it replaces.
-pub(crate) const BELONGINGS: [&str; 2] = [".new", ".old"];
+pub(crate) const COMPANION_SUFFIXES: [&str; 2] = [".new", ".old"];
 
-/// The folder that belongs to a temporary file and has the suffix `ending`.
-pub(crate) fn belonging(temporary: &Path, ending: &str) -> PathBuf {
+/// The companion folder of a temporary file with the suffix `ending`.
+pub(crate) fn companion_folder(temporary: &Path, ending: &str) -> PathBuf {
     let mut name = temporary.as_os_str().to_owned();
     name.push(ending);
     name.into()
 }
 
-/// Removes the temporary files with the folders that belong to them, and then the empty folders.
+/// Removes the temporary files and their companion folders, and then the empty folders.
 fn remove(unfinished: &[PathBuf]) {
     for path in unfinished {
         let _ = std::fs::remove_file(path);
     }
-    unfinished.iter().for_each(|path| remove_belongings(path));
+    unfinished.iter().for_each(|path| remove_companions(path));
     for path in unfinished {
         let _ = std::fs::remove_dir(path);
     }
 }
 
-/// Removes the folders that belong to a temporary file.
-pub(crate) fn remove_belongings(temporary: &Path) {
-    for ending in BELONGINGS {
-        let _ = std::fs::remove_dir_all(belonging(temporary, ending));
+/// Removes the companion folders of a temporary file.
+pub(crate) fn remove_companions(temporary: &Path) {
+    for ending in COMPANION_SUFFIXES {
+        let _ = std::fs::remove_dir_all(companion_folder(temporary, ending));
     }
 }
 
@@ -158,24 +160,25 @@ pub(crate) fn remove_belongings(temporary: &Path) {
 /// files.
 #[derive(Debug)]
 pub(crate) struct UnfinishedOutput {
-    of: Cancel,
+    cancel: Cancel,
     paths: Vec<PathBuf>,
 }
 
 impl UnfinishedOutput {
     /// Whether the work was cancelled.
     pub(crate) fn is_cancelled(&self) -> bool {
-        self.of.is_cancelled()
+        self.cancel.is_cancelled()
     }
 }
 
 impl Drop for UnfinishedOutput {
     fn drop(&mut self) {
-        let _held = self.of.hold();
-        let mut unfinished = self.of.unfinished();
-        for own in &self.paths {
-            // Several outputs may have registered the same folder, so only one entry is removed.
-            if let Some(at) = unfinished.iter().position(|path| path == own) {
+        let _held = self.cancel.hold();
+        let mut unfinished = self.cancel.unfinished();
+        for registered in &self.paths {
+            // Other outputs may have registered the same folder, so only one of its entries is
+            // removed.
+            if let Some(at) = unfinished.iter().position(|path| path == registered) {
                 unfinished.remove(at);
             }
         }

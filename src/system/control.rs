@@ -113,7 +113,7 @@ impl Control {
 /// Number of steps in a stage. Each step is reported.
 const STEPS: usize = 128;
 /// If the last report is older than this, progress of less than a step is also reported.
-const LONG: Duration = Duration::from_millis(50);
+const REPORT_INTERVAL: Duration = Duration::from_millis(50);
 
 /// Counts the finished parts of a stage on all threads, reports progress to the caller, and checks
 /// whether the work was cancelled.
@@ -158,7 +158,7 @@ impl Meter<'_> {
         let done = self.done.load(Ordering::Relaxed);
         let (before, since) = *last_report;
         let is_step = done >= before + self.parts.div_ceil(STEPS);
-        let is_due = is_step || done > before && since.elapsed() >= LONG;
+        let is_due = is_step || done > before && since.elapsed() >= REPORT_INTERVAL;
         // `Control::during` reports the end of the stage.
         if done < self.parts && is_due && self.goes_on() {
             *last_report = (done, Instant::now());
@@ -185,7 +185,7 @@ mod tests {
         let watcher: Watcher = Arc::new(move |progress| sink.lock().unwrap().push(progress.done));
         let control = Control { progress: Some(watcher), ..Control::default() };
         let meter = control.meter(Stage::Meshing, 1 << 20);
-        std::thread::sleep(2 * LONG);
+        std::thread::sleep(2 * REPORT_INTERVAL);
         meter.add(1);
         assert_eq!(*reports.lock().unwrap(), [1.0 / f64::from(1 << 20)]);
     }

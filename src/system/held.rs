@@ -1,9 +1,9 @@
-//! Files that a process holds while it works on them, so that other processes can see whether that
-//! process is alive.
+//! Files that a process holds while it works on them, so that other processes can detect whether
+//! that process is still running.
 //!
-//! On Windows, the holder opens the file so that no other process can write to it. A lock would
-//! also prevent the holder from writing. On other systems, the holder locks the file, which most
-//! network file systems support.
+//! On Windows, the holder opens the file in a mode in which no other process can write to it,
+//! because a lock would also prevent the holder from writing. On other systems, the holder locks
+//! the file. Most network file systems support such locks.
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io;
@@ -11,9 +11,9 @@ use std::path::Path;
 
 /// Creates a file that this process holds until the file is closed.
 ///
-/// On a file system without locks, other processes cannot see whether the file is held, and cannot
-/// take it. If another process takes the file before this function locks it, that process may have
-/// deleted the file by the time this function returns.
+/// On a file system without locks, other processes cannot detect whether the file is held, and
+/// cannot take it. Another process can take the file after this function creates it and before this
+/// function locks it. That process may have deleted the file by the time this function returns.
 ///
 /// # Errors
 /// Errors of the system, such as [`io::ErrorKind::AlreadyExists`].

@@ -52,8 +52,8 @@ fn group_available() -> Option<u64> {
     })
 }
 
-/// Bytes of memory that this process's limits on data and on address space still allow. The result
-/// cannot include files that the process maps later, which also use address space.
+/// Bytes of memory that this process's limits on data and on address space still allow. Files that
+/// the process maps later also use address space, but the result does not account for them.
 fn limit_available() -> Option<u64> {
     let left = |name: &str, used: &str| {
         let used = kib_field(&read_to_string("/proc/self/status").ok()?, used)?;
@@ -108,7 +108,7 @@ pub(crate) fn empty_in_huge_pages<T>(capacity: usize) -> Vec<T> {
 }
 
 /// Maps `bytes` bytes of zeros outside the heap, in huge pages if the system has them and at least
-/// one fits.
+/// one huge page fits into the mapping.
 ///
 /// # Errors
 /// If the system has no memory left.
@@ -122,8 +122,8 @@ pub(crate) fn mapped_in_huge_pages(bytes: usize) -> io::Result<MmapMut> {
 /// pages keep the size with which they were created.
 #[cfg(all(target_os = "linux", target_env = "gnu"))]
 fn advise_huge_pages<T>(memory: &[T]) {
-    /// The size, in bytes, of huge pages on most machines. On other machines, less of the memory is
-    /// in huge pages.
+    /// The size, in bytes, of huge pages on most machines. On machines with larger huge pages, a
+    /// smaller part of the memory is in huge pages.
     const HUGE: usize = 2 << 20;
     let bytes = memory.as_ptr().cast::<u8>();
     let first = bytes.align_offset(HUGE).min(size_of_val(memory));

@@ -1,8 +1,8 @@
 //! Writes a large file without the system's cache.
 //!
 //! A program that writes gigabytes and waits until they are on disk does not benefit from the
-//! cache: the system would copy all data into it, and evict useful data, such as the particles of
-//! the next frame.
+//! cache: the system would copy all data into the cache, and evict useful data from it, such as the
+//! particles of the next frame.
 
 use std::fs::File;
 use std::io::{self, ErrorKind, Write};
@@ -24,15 +24,15 @@ struct Page([u8; PAGE]);
 /// A file that is written from start to end. It is complete after [`finish`](Self::finish).
 pub struct PastCache<'a> {
     file: &'a File,
-    way: WriteMode,
+    mode: WriteMode,
 }
 
-/// The method by which the next bytes are written.
+/// Whether the next bytes are written through the cache.
 enum WriteMode {
     /// At most this many more bytes go through the cache.
     Cached(u64),
     /// Pieces are written without the cache. The current piece contains `filled` bytes.
-    Past { piece: Vec<Page>, filled: usize },
+    Uncached { piece: Vec<Page>, filled: usize },
 }
 
 impl<'a> PastCache<'a> {
@@ -44,7 +44,7 @@ impl<'a> PastCache<'a> {
     /// Starts writing a file whose first `cached` bytes go through the cache. They must be a whole
     /// number of pages.
     fn after(cached: u64, file: &'a File) -> Self {
-        Self { file, way: WriteMode::Cached(cached) }
+        Self { file, mode: WriteMode::Cached(cached) }
     }
 
     /// Writes the bytes of the last piece that are still in memory.
@@ -52,46 +52,46 @@ impl<'a> PastCache<'a> {
     /// # Errors
     /// Errors of the system, such as a full disk.
     pub fn finish(mut self) -> io::Result<()> {
-        match &self.way {
+        match &self.mode {
             WriteMode::Cached(_) => Ok(()),
-            WriteMode::Past { .. } => self.keep_to_cache(0),
+            WriteMode::Uncached { .. } => self.return_to_cache(0),
         }
     }
 
     /// Starts the first uncached piece, or continues with the cache if the file system requires it.
     fn leave_cache(&mut self) {
-        self.way = match past_cache(self.file, true) {
-            Ok(()) => WriteMode::Past { piece: vec![Page::zeroed(); PIECE / PAGE], filled: 0 },
+        self.mode = match bypass_cache(self.file, true) {
+            Ok(()) => WriteMode::Uncached { piece: vec![Page::zeroed(); PIECE / PAGE], filled: 0 },
             Err(_) => WriteMode::Cached(u64::MAX),
         };
     }
 
     /// Writes the rest of the current piece, from its byte `from`, through the cache. All later
     /// bytes also go through the cache.
-    fn keep_to_cache(&mut self, from: usize) -> io::Result<()> {
-        let WriteMode::Past { piece, filled } =
-            std::mem::replace(&mut self.way, WriteMode::Cached(u64::MAX))
+    fn return_to_cache(&mut self, from: usize) -> io::Result<()> {
+        let WriteMode::Uncached { piece, filled } =
+            std::mem::replace(&mut self.mode, WriteMode::Cached(u64::MAX))
         else {
             return Ok(());
         };
-        past_cache(self.file, false)?;
+        bypass_cache(self.file, false)?;
         self.file.write_all(&cast_slice(&piece)[from..filled])
     }
 }
 
 impl Write for PastCache<'_> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if let WriteMode::Cached(0) = self.way {
+        if let WriteMode::Cached(0) = self.mode {
             self.leave_cache();
         }
-        match &mut self.way {
+        match &mut self.mode {
             WriteMode::Cached(left) => {
                 let most = usize::try_from(*left).map_or(bytes.len(), |left| bytes.len().min(left));
                 let count = self.file.write(&bytes[..most])?;
                 *left -= count as u64;
                 Ok(count)
             }
-            WriteMode::Past { piece, filled } => {
+            WriteMode::Uncached { piece, filled } => {
                 let room = &mut cast_slice_mut(piece)[*filled..];
                 let count = bytes.len().min(room.len());
                 room[..count].copy_from_slice(&bytes[..count]);
@@ -99,7 +99,7 @@ impl Write for PastCache<'_> {
                 if *filled == PIECE {
                     match write_pages(self.file, cast_slice(piece))? {
                         PIECE => *filled = 0,
-                        written => self.keep_to_cache(written)?,
+                        written => self.return_to_cache(written)?,
                     }
                 }
                 Ok(count)
@@ -121,7 +121,7 @@ fn write_pages(mut file: &File, pages: &[u8]) -> io::Result<usize> {
             Ok(0) => return Err(ErrorKind::WriteZero.into()),
             Ok(count) => written += count,
             Err(fault) if fault.kind() == ErrorKind::Interrupted => {}
-            // Some file systems report only here that they require the cache.
+            // Some file systems report only when data is written that they require the cache.
             Err(fault) if fault.kind() == ErrorKind::InvalidInput => break,
             Err(fault) => return Err(fault),
         }
@@ -129,19 +129,19 @@ fn write_pages(mut file: &File, pages: &[u8]) -> io::Result<usize> {
     Ok(written)
 }
 
-/// Switches the cache off or on for later writes to a file.
-fn past_cache(file: &File, past: bool) -> io::Result<()> {
+/// Makes later writes to a file bypass the cache, or go through the cache again.
+fn bypass_cache(file: &File, bypass: bool) -> io::Result<()> {
     #[cfg(target_os = "linux")]
     {
         use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
         let mut flags = fcntl_getfl(file)?;
-        flags.set(OFlags::DIRECT, past);
+        flags.set(OFlags::DIRECT, bypass);
         Ok(fcntl_setfl(file, flags)?)
     }
     #[cfg(not(target_os = "linux"))]
     {
         let _ = file;
-        if past { Err(ErrorKind::Unsupported.into()) } else { Ok(()) }
+        if bypass { Err(ErrorKind::Unsupported.into()) } else { Ok(()) }
     }
 }
 

@@ -69,8 +69,8 @@ pub enum ReopenedError {
 }
 
 impl From<ReopenedError> for io::Error {
-    fn from(lost: ReopenedError) -> Self {
-        match lost {
+    fn from(error: ReopenedError) -> Self {
+        match error {
             ReopenedError::Changed => Self::other("the file changed while it was being read"),
             ReopenedError::Io(fault) => fault,
         }
@@ -178,9 +178,9 @@ pub fn write_all_at(file: &File, at: u64, bytes: &[u8]) -> io::Result<()> {
     return windows::write_all_at(file, bytes, at);
 }
 
-/// Asks the system to read `bytes` bytes, from offset `at`, in advance.
+/// Asks the system to read `bytes` bytes of a file, from offset `at`, in advance.
 pub fn will_read(file: &File, at: u64, bytes: u64) {
-    // An error can be ignored, because the data is then read later.
+    // Errors are ignored: if the system does not read the data in advance, it reads the data later.
     #[cfg(target_os = "linux")]
     let _ = rustix::fs::fadvise(file, at, NonZeroU64::new(bytes), rustix::fs::Advice::WillNeed);
     #[cfg(not(target_os = "linux"))]

@@ -18,7 +18,7 @@ const DISPATCHES: u32 = 128;
 /// Maximum number of timed stages in a batch.
 const STAGES: u32 = 32;
 
-/// A point in the work of a queue: the end of a batch.
+/// A point in the work of a queue: the end of a submitted batch.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Ticket {
     queue: Queue,
@@ -46,8 +46,8 @@ pub struct Batch {
     sets: vk::DescriptorPool,
     /// Null if the queue does not support timestamps.
     queries: vk::QueryPool,
-    /// At the end of a submission, the device writes the submission's number here. The host
-    /// compares this number, to detect a lost device whose calls still report success.
+    /// At the end of a submission, the device writes the submission's number here. The host checks
+    /// this number, to detect a lost device whose calls still report success.
     stamp: Arc<Buffer>,
     buffers: Vec<Arc<Buffer>>,
     pipelines: Vec<Arc<ComputePipeline>>,
@@ -90,14 +90,14 @@ impl Device {
                     &vk::CommandPoolCreateInfo::default().queue_family_index(family),
                     None,
                 )
-                .map_err(shared.noting("vkCreateCommandPool"))?;
+                .map_err(shared.call_error("vkCreateCommandPool"))?;
             let info = vk::CommandBufferAllocateInfo::default()
                 .command_pool(batch.pool)
                 .command_buffer_count(1);
             batch.commands = shared
                 .raw
                 .allocate_command_buffers(&info)
-                .map_err(shared.noting("vkAllocateCommandBuffers"))?[0];
+                .map_err(shared.call_error("vkAllocateCommandBuffers"))?[0];
             let sizes = [vk::DescriptorPoolSize {
                 ty: vk::DescriptorType::STORAGE_BUFFER,
                 descriptor_count: MOST_BUFFERS * DISPATCHES,
@@ -107,7 +107,7 @@ impl Device {
             batch.sets = shared
                 .raw
                 .create_descriptor_pool(&info, None)
-                .map_err(shared.noting("vkCreateDescriptorPool"))?;
+                .map_err(shared.call_error("vkCreateDescriptorPool"))?;
             if timestamps {
                 let info = vk::QueryPoolCreateInfo::default()
                     .query_type(vk::QueryType::TIMESTAMP)
@@ -115,7 +115,7 @@ impl Device {
                 batch.queries = shared
                     .raw
                     .create_query_pool(&info, None)
-                    .map_err(shared.noting("vkCreateQueryPool"))?;
+                    .map_err(shared.call_error("vkCreateQueryPool"))?;
             }
         }
         Ok(batch)
@@ -133,13 +133,13 @@ impl Batch {
         // SAFETY: no resource of this batch is in use.
         unsafe {
             raw.reset_command_pool(self.pool, vk::CommandPoolResetFlags::empty())
-                .map_err(self.device.noting("vkResetCommandPool"))?;
+                .map_err(self.device.call_error("vkResetCommandPool"))?;
             raw.reset_descriptor_pool(self.sets, vk::DescriptorPoolResetFlags::empty())
-                .map_err(self.device.noting("vkResetDescriptorPool"))?;
+                .map_err(self.device.call_error("vkResetDescriptorPool"))?;
             let info = vk::CommandBufferBeginInfo::default()
                 .flags(vk::CommandBufferUsageFlags::ONE_TIME_SUBMIT);
             raw.begin_command_buffer(self.commands, &info)
-                .map_err(self.device.noting("vkBeginCommandBuffer"))?;
+                .map_err(self.device.call_error("vkBeginCommandBuffer"))?;
             if self.queries != vk::QueryPool::null() {
                 if self.device.queue(self.queue).host_reset {
                     raw.reset_query_pool(self.queries, 0, STAGES + 1);
@@ -151,9 +151,9 @@ impl Batch {
         Ok(())
     }
 
-    /// Begins a stage, which lasts up to the next stage or the end of the batch.
-    /// [`Device::take_timings`] reports its duration under `name`. The commands of the stage read
-    /// and write at least `bytes` bytes.
+    /// Begins a stage, which ends at the next stage or at the end of the batch.
+    /// [`Device::take_timings`] reports the stage's duration under `name`. The commands of the
+    /// stage read and write at least `bytes` bytes.
     pub fn stage(&mut self, name: &'static str, bytes: u64) {
         self.timestamp();
         self.stages.push((name, bytes));
@@ -163,10 +163,10 @@ impl Batch {
         if self.queries != vk::QueryPool::null() {
             let number = self.stages.len() as u32;
             assert!(number <= STAGES, "a batch can time at most {STAGES} stages");
-            let when = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
+            let after = vk::PipelineStageFlags::BOTTOM_OF_PIPE;
             // SAFETY: the commands are being recorded, and the query was reset.
             unsafe {
-                self.device.raw.cmd_write_timestamp(self.commands, when, self.queries, number)
+                self.device.raw.cmd_write_timestamp(self.commands, after, self.queries, number)
             };
         }
     }
@@ -187,7 +187,7 @@ impl Batch {
         groups: [u32; 3],
     ) -> Result<(), VulkanError> {
         let most = self.device.limits.groups;
-        assert!(groups.iter().all(|&n| n <= most), "{groups:?} groups of {pipeline:?}");
+        assert!(groups.iter().all(|&n| n <= most), "too many groups of {pipeline:?}: {groups:?}");
         if !groups.contains(&0) {
             self.bind(pipeline, buffers, bytemuck::bytes_of(push))?;
             let [x, y, z] = groups;
@@ -210,7 +210,8 @@ impl Batch {
         push: &impl Pod,
         groups: &View,
     ) -> Result<(), VulkanError> {
-        assert!(self.owns(groups) && groups.bytes >= 12, "groups of {pipeline:?}");
+        assert!(self.owns(groups), "the group counts of {pipeline:?} belong to another device");
+        assert!(groups.bytes >= 12, "the group counts of {pipeline:?} need three words");
         self.bind(pipeline, buffers, bytemuck::bytes_of(push))?;
         // SAFETY: the commands are being recorded, and a shader is bound.
         unsafe {
@@ -228,8 +229,13 @@ impl Batch {
         buffers: &[View],
         push: &[u8],
     ) -> Result<(), VulkanError> {
-        assert_eq!(buffers.len(), pipeline.shader.buffers.len(), "buffers of {pipeline:?}");
-        assert_eq!(push.len(), pipeline.shader.push_bytes as usize, "push block of {pipeline:?}");
+        let shader = pipeline.shader;
+        assert_eq!(buffers.len(), shader.buffers.len(), "number of buffers of {pipeline:?}");
+        assert_eq!(
+            push.len(),
+            shader.push_bytes as usize,
+            "bytes of push constants of {pipeline:?}"
+        );
         let limits = self.device.limits;
         assert!(
             Arc::ptr_eq(&pipeline.device, &self.device),
@@ -241,13 +247,13 @@ impl Batch {
         );
         assert!(
             buffers.iter().all(|view| view.offset.is_multiple_of(limits.alignment)),
-            "buffers of {pipeline:?}"
+            "the offset of a buffer of {pipeline:?} is not aligned"
         );
         if let Some(view) = buffers.iter().find(|view| view.bytes > limits.storage_range) {
             return Err(VulkanError::OutOfMemory { bytes: view.bytes });
         }
         self.barrier();
-        let set = [self.bound(pipeline, buffers)?];
+        let set = [self.descriptor_set(pipeline, buffers)?];
         let raw = &self.device.raw;
         // SAFETY: the handles belong to this device, the commands are being recorded, and the batch
         // holds the buffers and the shader until the commands have finished.
@@ -266,7 +272,7 @@ impl Batch {
     }
 
     /// Returns a new descriptor set that binds `buffers` to a shader.
-    fn bound(
+    fn descriptor_set(
         &self,
         pipeline: &ComputePipeline,
         buffers: &[View],
@@ -278,7 +284,7 @@ impl Batch {
             .set_layouts(&layouts);
         // SAFETY: the pool and the layout belong to this device.
         let set = unsafe { raw.allocate_descriptor_sets(&info) }
-            .map_err(self.device.noting("vkAllocateDescriptorSets"))?[0];
+            .map_err(self.device.call_error("vkAllocateDescriptorSets"))?[0];
         let info = |view: &View| {
             [vk::DescriptorBufferInfo {
                 buffer: view.buffer.raw(),
@@ -368,7 +374,7 @@ impl Batch {
             }
             Queue::Transfer => transfer,
         };
-        if !Faults::strikes(&self.device.faults.barrier) {
+        if !Faults::must_fail(&self.device.faults.barrier) {
             self.memory_barrier(stages, access, stages, access);
         }
     }
@@ -415,7 +421,7 @@ impl Batch {
         signal: &[SemaphorePoint],
     ) -> Result<Ticket, VulkanError> {
         self.timestamp();
-        if Faults::strikes(&self.device.faults.submission) {
+        if Faults::must_fail(&self.device.faults.submission) {
             self.device.lose();
         }
         self.device.check_alive()?;
@@ -426,7 +432,7 @@ impl Batch {
         unsafe {
             let queue = state.raw.lock().unwrap_or_else(PoisonError::into_inner);
             let value = state.last.load(Ordering::Relaxed) + 1;
-            if !Faults::strikes(&self.device.faults.completion) {
+            if !Faults::must_fail(&self.device.faults.completion) {
                 self.barrier();
                 raw.cmd_fill_buffer(self.commands, self.stamp.raw(), 0, 4, value as u32);
             }
@@ -437,13 +443,13 @@ impl Batch {
                 vk::AccessFlags::HOST_READ,
             );
             raw.end_command_buffer(self.commands)
-                .map_err(self.device.noting("vkEndCommandBuffer"))?;
-            let moment = |ticket: &Ticket| SemaphorePoint {
+                .map_err(self.device.call_error("vkEndCommandBuffer"))?;
+            let point = |ticket: &Ticket| SemaphorePoint {
                 semaphore: self.device.queue(ticket.queue).timeline,
                 value: ticket.value,
             };
             let own = SemaphorePoint { semaphore: state.timeline, value };
-            let (waits, wait_values) = parts(after.iter().map(moment).chain(wait.iter().copied()));
+            let (waits, wait_values) = parts(after.iter().map(point).chain(wait.iter().copied()));
             let (signals, signal_values) =
                 parts(std::iter::once(own).chain(signal.iter().copied()));
             let wait_stages = vec![vk::PipelineStageFlags::ALL_COMMANDS; waits.len()];
@@ -458,7 +464,7 @@ impl Batch {
                 .signal_semaphores(&signals)
                 .push_next(&mut timeline);
             raw.queue_submit(*queue, &[info], vk::Fence::null())
-                .map_err(self.device.noting("vkQueueSubmit"))?;
+                .map_err(self.device.call_error("vkQueueSubmit"))?;
             state.last.store(value, Ordering::Relaxed);
             self.device.counters.submissions.fetch_add(1, Ordering::Relaxed);
             let ticket = Ticket { queue: self.queue, value };
@@ -478,7 +484,7 @@ impl Batch {
             let info = vk::SemaphoreWaitInfo::default().semaphores(&timelines).values(&values);
             // SAFETY: the semaphore belongs to this device.
             unsafe { self.device.raw.wait_semaphores(&info, u64::MAX) }
-                .map_err(self.device.noting("vkWaitSemaphores"))?;
+                .map_err(self.device.call_error("vkWaitSemaphores"))?;
             self.pending = false;
             // SAFETY: the batch has finished, and no other batch writes its stamp.
             if unsafe { self.stamp.read::<u32>(0, 1) } != [ticket.value as u32] {
@@ -520,7 +526,7 @@ impl Batch {
                 vk::QueryResultFlags::TYPE_64 | vk::QueryResultFlags::WAIT,
             )
         }
-        .map_err(self.device.noting("vkGetQueryPoolResults"))?;
+        .map_err(self.device.call_error("vkGetQueryPoolResults"))?;
         for (&(stage, bytes), stamps) in self.stages.iter().zip(stamps.windows(2)) {
             let steps = stamps[1].saturating_sub(stamps[0]);
             self.device.record(stage, bytes, steps as f64 * self.device.timestamp_period * 1e-9);
@@ -530,8 +536,8 @@ impl Batch {
 }
 
 /// Splits points into their semaphores and their values.
-fn parts(moments: impl Iterator<Item = SemaphorePoint>) -> (Vec<vk::Semaphore>, Vec<u64>) {
-    moments.map(|SemaphorePoint { semaphore, value }| (semaphore, value)).unzip()
+fn parts(points: impl Iterator<Item = SemaphorePoint>) -> (Vec<vk::Semaphore>, Vec<u64>) {
+    points.map(|SemaphorePoint { semaphore, value }| (semaphore, value)).unzip()
 }
 
 impl Drop for Batch {

@@ -80,12 +80,12 @@ impl Device {
     /// # Errors
     /// [`VulkanError::OutOfMemory`] if the device has too little memory, or if its limits or the
     /// memory limit do not allow the buffer.
-    pub fn buffer(&self, place: BufferKind, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
-        let location = match place {
+    pub fn buffer(&self, kind: BufferKind, bytes: u64) -> Result<Arc<Buffer>, VulkanError> {
+        let location = match kind {
             BufferKind::Device => MemoryLocation::GpuOnly,
-            // Staging buffers are in the host's memory, for uploads as well as downloads. The
-            // allocator's location for uploads is a window into the device's memory, which is small
-            // and slow to write.
+            // Staging buffers for uploads and downloads are in the host's memory. The allocator's
+            // location for uploads is not used, because it is a part of the device's memory that is
+            // small and slow to write.
             BufferKind::Upload | BufferKind::Download => MemoryLocation::GpuToCpu,
         };
         let shared = &self.shared;
@@ -114,7 +114,7 @@ impl Device {
             shared
                 .raw
                 .bind_buffer_memory(buffer.raw, memory, offset)
-                .map_err(shared.noting("vkBindBufferMemory"))?;
+                .map_err(shared.call_error("vkBindBufferMemory"))?;
         }
         Ok(Arc::new(buffer))
     }
@@ -132,8 +132,9 @@ impl Device {
     }
 
     /// Imports the memory of a buffer of the same size that another device with the same
-    /// [UUID](Self::uuid), perhaps in another process, has [exported](Buffer::export). A device
-    /// sees the writes of the other device once it has waited for these writes to finish.
+    /// [UUID](Self::uuid), perhaps in another process, has [exported](Buffer::export). Writes of
+    /// one device are visible to the other device once the other device has waited for them to
+    /// finish.
     ///
     /// # Errors
     /// The same errors as for [`buffer`](Self::buffer).
@@ -155,7 +156,7 @@ impl Device {
         import: Option<Descriptor>,
     ) -> Result<Arc<Buffer>, VulkanError> {
         let shared = &self.shared;
-        assert!(shared.exports.is_some(), "exports must be enabled");
+        assert!(shared.exports.is_some(), "the device was opened without exports");
         let mut buffer = self.unbound(bytes, HANDLE)?;
         // SAFETY: the buffer belongs to this device, and is new; all pointers outlive the calls.
         unsafe {
@@ -165,8 +166,8 @@ impl Device {
             let local = |kind: &vk::MemoryType| {
                 kind.property_flags.contains(vk::MemoryPropertyFlags::DEVICE_LOCAL)
             };
-            // Takes the first memory type that is local to the device; if none is local, the first
-            // type. The exporter makes the same choice.
+            // Takes the first suitable memory type that is local to the device; if none is local,
+            // the first suitable type. The exporter makes the same choice.
             let (kind, _) = fitting
                 .min_by_key(|(_, kind)| !local(kind))
                 .ok_or(VulkanError::OutOfMemory { bytes: buffer.bytes })?;
@@ -192,14 +193,14 @@ impl Device {
             let memory = shared
                 .raw
                 .allocate_memory(&info, None)
-                .map_err(shared.noting("vkAllocateMemory"))?;
+                .map_err(shared.call_error("vkAllocateMemory"))?;
             // The driver owns the descriptor now.
             std::mem::forget(import);
             buffer.memory = BufferMemory::Own(memory);
             shared
                 .raw
                 .bind_buffer_memory(buffer.raw, memory, 0)
-                .map_err(shared.noting("vkBindBufferMemory"))?;
+                .map_err(shared.call_error("vkBindBufferMemory"))?;
         }
         Ok(Arc::new(buffer))
     }
@@ -226,7 +227,7 @@ impl Device {
         };
         if before.saturating_add(bytes) > limit
             || bytes > shared.limits.allocation
-            || Faults::strikes(&shared.faults.allocation)
+            || Faults::must_fail(&shared.faults.allocation)
         {
             return Err(VulkanError::OutOfMemory { bytes });
         }
@@ -248,7 +249,7 @@ impl Device {
         }
         // SAFETY: the device is alive; memory is bound before anything uses the buffer.
         buffer.raw = unsafe { shared.raw.create_buffer(&info, None) }
-            .map_err(shared.noting("vkCreateBuffer"))?;
+            .map_err(shared.call_error("vkCreateBuffer"))?;
         Ok(buffer)
     }
 
@@ -317,7 +318,7 @@ impl Buffer {
         // new.
         unsafe {
             let descriptor =
-                exports.get_memory_fd(&info).map_err(self.device.noting("vkGetMemoryFdKHR"))?;
+                exports.get_memory_fd(&info).map_err(self.device.call_error("vkGetMemoryFdKHR"))?;
             Ok(std::os::fd::OwnedFd::from_raw_fd(descriptor))
         }
     }
@@ -334,7 +335,7 @@ impl Buffer {
     /// If the buffer is too small.
     #[must_use]
     pub fn part(self: &Arc<Self>, offset: u64, bytes: u64) -> View {
-        assert!(within(offset, bytes, self.bytes), "{offset} + {bytes} of {}", self.bytes);
+        check_range(offset, bytes, self.bytes);
         View { buffer: Arc::clone(self), offset, bytes }
     }
 
@@ -345,7 +346,7 @@ impl Buffer {
     /// other thread may access the range. This function does not synchronize with the device.
     ///
     /// # Panics
-    /// If the buffer is too small, or not visible to the host.
+    /// If the buffer is too small, or if it is not visible to the host.
     pub unsafe fn write<T: Pod>(&self, offset: u64, values: &[T]) {
         let bytes: &[u8] = bytemuck::cast_slice(values);
         let to = self.mapped(offset, bytes.len());
@@ -383,12 +384,15 @@ impl Buffer {
     }
 
     fn mapped(&self, offset: u64, len: usize) -> *mut u8 {
-        assert!(within(offset, len as u64, self.bytes), "{offset} + {len} of {}", self.bytes);
+        check_range(offset, len as u64, self.bytes);
         let mapped = match &self.memory {
             BufferMemory::Part(allocation) => allocation.mapped_ptr(),
             _ => None,
         };
-        let base = mapped.expect("the buffer is visible to the host").as_ptr().cast::<u8>();
+        let base = mapped
+            .expect("only buffers for uploads and downloads are visible to the host")
+            .as_ptr()
+            .cast::<u8>();
         // SAFETY: the mapping is as long as the buffer.
         unsafe { base.add(offset as usize) }
     }
@@ -430,7 +434,7 @@ impl View {
     /// If the view is too small.
     #[must_use]
     pub fn part(&self, offset: u64, bytes: u64) -> Self {
-        assert!(within(offset, bytes, self.bytes), "{offset} + {bytes} of {}", self.bytes);
+        check_range(offset, bytes, self.bytes);
         self.buffer.part(self.offset + offset, bytes)
     }
 
@@ -497,9 +501,14 @@ impl Drop for Buffer {
     }
 }
 
-/// Whether a part lies within a buffer.
-fn within(offset: u64, bytes: u64, whole: u64) -> bool {
-    offset.checked_add(bytes).is_some_and(|end| end <= whole)
+/// Panics if a range does not lie within a buffer or view of `size` bytes.
+#[track_caller]
+fn check_range(offset: u64, bytes: u64, size: u64) {
+    let end = offset.checked_add(bytes);
+    assert!(
+        end.is_some_and(|end| end <= size),
+        "{bytes} bytes at offset {offset} exceed a buffer of {size} bytes"
+    );
 }
 
 impl fmt::Debug for Buffer {

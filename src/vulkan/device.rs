@@ -42,8 +42,8 @@ pub struct DeviceOptions {
     /// processes](Device::exported_buffer). The device needs `VK_KHR_external_memory_fd`, and an
     /// adopted device must have it enabled.
     pub exports: bool,
-    /// Additional usages of the buffers, such as building acceleration structures. The device must
-    /// support them.
+    /// Additional usages of the buffers, such as building acceleration structures. The features and
+    /// extensions that these usages need must be enabled on the device.
     pub usage: vk::BufferUsageFlags,
     /// SPIR-V binaries that replace the binaries of shaders, by the name of the shader. They must
     /// be compiled from the same sources.
@@ -59,7 +59,7 @@ pub enum Queues {
     All,
     /// One queue for shaders and copies.
     One,
-    /// One queue that is used like two: copies wait for shaders, and shaders wait for copies.
+    /// One queue that is used as if it were two queues, one for shaders and one for copies.
     OneAsTwo,
 }
 
@@ -90,7 +90,7 @@ pub enum Queue {
 pub struct Timing {
     /// The name of the stage.
     pub stage: &'static str,
-    /// Time between the timestamps around the stage, summed over all batches.
+    /// Time in seconds between the timestamps around the stage, summed over all batches.
     pub seconds: f64,
     /// Minimum number of bytes that the stage read and wrote.
     pub bytes: u64,
@@ -167,7 +167,7 @@ pub(super) struct SharedDevice {
 }
 
 pub(super) struct QueueState {
-    /// Shared by two states if one queue is used as two.
+    /// The queue, which two states share if one queue is used as two.
     pub(super) raw: Arc<Mutex<vk::Queue>>,
     pub(super) family: u32,
     pub(super) timestamps: bool,
@@ -205,7 +205,7 @@ impl Device {
         // SAFETY: the device belongs to the instance.
         let families =
             unsafe { instance.raw.get_physical_device_queue_family_properties(info.physical) };
-        let (family, transfer) = families::to_use(&families);
+        let (family, transfer) = families::choose_families(&families);
         let family = family.expect("`choose` rejects devices without compute");
         let transfer = transfer.filter(|_| options.queues == Queues::All);
         let used: Vec<u32> = std::iter::once(family).chain(transfer).collect();
@@ -247,7 +247,7 @@ impl Device {
             queues.push(queues[0]);
         }
         let owner = Some(Arc::clone(instance));
-        Self::around(&instance.raw, owner, info.physical, raw, queues, options)
+        Self::from_handles(&instance.raw, owner, info.physical, raw, queues, options)
     }
 
     /// Uses a device that the caller has opened.
@@ -281,17 +281,17 @@ impl Device {
         };
         let computes =
             |f: &vk::QueueFamilyProperties| f.queue_flags.contains(vk::QueueFlags::COMPUTE);
-        let of_queue = (!families.get(family as usize).is_some_and(computes))
+        let lacks_compute = (!families.get(family as usize).is_some_and(computes))
             .then_some("its queue does not support compute");
-        if let Some(lacks) = lacks(&instance, physical, &properties).or(of_queue) {
+        if let Some(lacks) = lacks(&instance, physical, &properties).or(lacks_compute) {
             let device =
                 properties.device_name_as_c_str().unwrap_or(c"").to_string_lossy().into_owned();
             return Err(VulkanError::Unsuitable { device, lacks });
         }
-        Self::around(&instance, None, physical, device, vec![(family, queue)], options)
+        Self::from_handles(&instance, None, physical, device, vec![(family, queue)], options)
     }
 
-    fn around(
+    fn from_handles(
         instance: &ash::Instance,
         owner: Option<Arc<Instance>>,
         physical: vk::PhysicalDevice,
@@ -467,7 +467,7 @@ impl SharedDevice {
             let cache = self.raw.create_pipeline_cache(&info, None);
             cache.or_else(|_| self.raw.create_pipeline_cache(&empty, None))
         };
-        cache.map_err(self.noting("vkCreatePipelineCache"))
+        cache.map_err(self.call_error("vkCreatePipelineCache"))
     }
 
     fn add_queue(
@@ -482,7 +482,7 @@ impl SharedDevice {
         let info = vk::SemaphoreCreateInfo::default().push_next(&mut kind);
         // SAFETY: the device is alive, and all pointers outlive the call.
         let timeline = unsafe { self.raw.create_semaphore(&info, None) }
-            .map_err(self.noting("vkCreateSemaphore"))?;
+            .map_err(self.call_error("vkCreateSemaphore"))?;
         let known = self.queues.iter().map(|known| &known.raw);
         let same =
             known.clone().find(|raw| *raw.lock().unwrap_or_else(PoisonError::into_inner) == queue);
@@ -512,12 +512,12 @@ impl SharedDevice {
         families
     }
 
-    /// Converts the result of a call to an error, and records that the device is lost if the result
-    /// says so.
-    pub(super) fn noting(&self, call: &'static str) -> impl Fn(vk::Result) -> VulkanError + '_ {
+    /// Converts the result of a failed call to an error, and records that the device is lost if the
+    /// result says so.
+    pub(super) fn call_error(&self, call: &'static str) -> impl Fn(vk::Result) -> VulkanError + '_ {
         move |result| {
             let error = VulkanError::of(call)(result);
-            // A lost device stays lost, even if a later call succeeds.
+            // Once the device is lost, every later error is also reported as `Lost`.
             if error == VulkanError::Lost || self.lost.load(Ordering::Relaxed) {
                 self.lose()
             } else {

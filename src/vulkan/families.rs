@@ -3,9 +3,8 @@
 use ash::vk;
 
 /// Returns the queue family for shaders, without graphics if possible, and a family that supports
-/// only copies, if there is one. Families for video are not used for copies, although they may
-/// support them.
-pub(super) fn to_use(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
+/// only copies, if there is one. Families that also support video are not used for copies.
+pub(super) fn choose_families(known: &[vk::QueueFamilyProperties]) -> (Option<u32>, Option<u32>) {
     let find = |wanted: vk::QueueFlags, unwanted: vk::QueueFlags| {
         let fits = |f: &vk::QueueFamilyProperties| {
             f.queue_flags.contains(wanted) && !f.queue_flags.intersects(unwanted)
@@ -42,7 +41,7 @@ mod tests {
             let family =
                 |&flags| vk::QueueFamilyProperties { queue_flags: flags, ..Default::default() };
             let families: Vec<_> = flags.iter().map(family).collect();
-            assert_eq!(to_use(&families), expected, "{flags:?}");
+            assert_eq!(choose_families(&families), expected, "{flags:?}");
         }
     }
 }

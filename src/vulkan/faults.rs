@@ -9,15 +9,15 @@ pub struct Faults {
     pub allocation: AtomicU64,
     /// The submission at which the device is lost.
     pub submission: AtomicU64,
-    /// The submission whose work never finishes, although no call reports an error.
+    /// The submission that does not mark its work as finished, although no call reports an error.
     pub completion: AtomicU64,
-    /// The barrier to omit, so that later commands may not see earlier results.
+    /// The barrier to omit, so that earlier results may be invisible to later commands.
     pub barrier: AtomicU64,
 }
 
 impl Faults {
     /// Decrements `countdown`; returns whether this call must fail.
-    pub(super) fn strikes(countdown: &AtomicU64) -> bool {
+    pub(super) fn must_fail(countdown: &AtomicU64) -> bool {
         let count = |left: u64| (left > 0).then(|| left - 1);
         countdown.fetch_update(Ordering::Relaxed, Ordering::Relaxed, count) == Ok(1)
     }

@@ -39,7 +39,8 @@ impl ValidationLog {
 /// The device to use.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum DeviceChoice {
-    /// The first device of the best kind.
+    /// The first device of the best [kind](DeviceKind), among devices whose drivers pass the
+    /// conformance tests if there are any. Devices that cannot be used are ignored.
     #[default]
     Best,
     /// The device with this number in [`Instance::devices`], this [`uuid`](DeviceInfo::uuid) in
@@ -113,7 +114,7 @@ impl DeviceInfo {
     }
 
     /// Whether the device's driver passes the conformance tests of any version. Drivers that
-    /// translate to other interfaces may not pass them.
+    /// translate Vulkan to another graphics interface may not pass these tests.
     #[must_use]
     pub fn is_conformant(&self) -> bool {
         self.conformance != [0; 4]
@@ -121,8 +122,8 @@ impl DeviceInfo {
 }
 
 impl Instance {
-    /// Connects to the loader; with `validation`, through the Khronos validation layer with
-    /// synchronisation checks.
+    /// Connects to the loader. If `validation` is set, also enables the Khronos validation layer
+    /// and its synchronisation checks.
     ///
     /// # Errors
     /// [`VulkanError::NoLoader`] and [`VulkanError::NoValidation`] if the loader or the layer is
@@ -153,9 +154,10 @@ impl Instance {
         let mut extensions: Vec<_> = portability.iter().map(|name| name.as_ptr()).collect();
         // Validation layers of 2024 and later have settings, and check the memory accesses of
         // shaders only if a setting enables this check. SAFETY: this call needs no instance.
-        let of_layer = unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION)) };
+        let layer_extensions =
+            unsafe { entry.enumerate_instance_extension_properties(Some(VALIDATION)) };
         let has_settings =
-            names(&of_layer.unwrap_or_default(), ext::layer_settings::NAME).is_some();
+            names(&layer_extensions.unwrap_or_default(), ext::layer_settings::NAME).is_some();
         if validation {
             let checked_by = if has_settings {
                 ext::layer_settings::NAME
@@ -215,8 +217,8 @@ impl Instance {
         self.log.clone()
     }
 
-    /// Whether a validation layer checks the memory accesses of shaders. Layers of 2024 and later
-    /// do.
+    /// Whether a validation layer checks the memory accesses of shaders. Only layers of 2024 and
+    /// later can.
     #[must_use]
     pub fn sees_shaders(&self) -> bool {
         self.sees_shaders
@@ -443,12 +445,12 @@ fn messenger_info(log: &ValidationLog) -> vk::DebugUtilsMessengerCreateInfoEXT<'
             vk::DebugUtilsMessageTypeFlagsEXT::VALIDATION
                 | vk::DebugUtilsMessageTypeFlagsEXT::PERFORMANCE,
         )
-        .pfn_user_callback(Some(note))
+        .pfn_user_callback(Some(log_message))
         .user_data(Arc::as_ptr(&log.0).cast_mut().cast())
 }
 
 /// Appends a message to the log that `log` points to.
-unsafe extern "system" fn note(
+unsafe extern "system" fn log_message(
     _: vk::DebugUtilsMessageSeverityFlagsEXT,
     _: vk::DebugUtilsMessageTypeFlagsEXT,
     data: *const vk::DebugUtilsMessengerCallbackDataEXT<'_>,

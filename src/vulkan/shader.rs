@@ -95,7 +95,7 @@ impl Device {
                     &vk::DescriptorSetLayoutCreateInfo::default().bindings(&bindings),
                     None,
                 )
-                .map_err(self.shared.noting("vkCreateDescriptorSetLayout"))?;
+                .map_err(self.shared.call_error("vkCreateDescriptorSetLayout"))?;
             let sets = [pipeline.sets];
             let mut layout = vk::PipelineLayoutCreateInfo::default().set_layouts(&sets);
             if shader.push_bytes > 0 {
@@ -103,10 +103,10 @@ impl Device {
             }
             pipeline.layout = raw
                 .create_pipeline_layout(&layout, None)
-                .map_err(self.shared.noting("vkCreatePipelineLayout"))?;
+                .map_err(self.shared.call_error("vkCreatePipelineLayout"))?;
             let module = raw
                 .create_shader_module(&vk::ShaderModuleCreateInfo::default().code(&code), None)
-                .map_err(self.shared.noting("vkCreateShaderModule"))?;
+                .map_err(self.shared.call_error("vkCreateShaderModule"))?;
             let entry = std::ffi::CString::new(shader.name).expect("a name without zero bytes");
             let stage = vk::PipelineShaderStageCreateInfo::default()
                 .stage(vk::ShaderStageFlags::COMPUTE)
@@ -116,8 +116,9 @@ impl Device {
                 [vk::ComputePipelineCreateInfo::default().stage(stage).layout(pipeline.layout)];
             let made = raw.create_compute_pipelines(self.shared.pipeline_cache, &info, None);
             raw.destroy_shader_module(module, None);
-            pipeline.pipeline = made
-                .map_err(|(_, result)| self.shared.noting("vkCreateComputePipelines")(result))?[0];
+            pipeline.pipeline = made.map_err(|(_, result)| {
+                self.shared.call_error("vkCreateComputePipelines")(result)
+            })?[0];
         }
         Ok(pipeline)
     }

@@ -4,7 +4,7 @@
 //! re-export nor `mod child;` is an import, so a `mod.rs` that only declares and re-exports has no
 //! imports. A `mod.rs` that uses an item of its child imports from the child, and a child that uses
 //! an item of its `mod.rs` imports from the `mod.rs`. Tests and comments are ignored. In macros,
-//! names that `::` joins count as a path.
+//! names that are joined by `::` count as one path.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -29,7 +29,7 @@ pub struct Import {
     /// The file that defines the item.
     pub to: String,
     /// The file of the module in the import's path, which may only re-export the item.
-    pub by: String,
+    pub via: String,
     /// The name of the item in that module.
     pub path: String,
 }
@@ -155,25 +155,25 @@ impl Tree {
                 };
             }
         };
-        let (mut by, mut rest) = (start, rest);
+        let (mut via, mut rest) = (start, rest);
         while let Some((next, later)) = rest.split_first() {
             if next == "super" {
-                by.pop();
-            } else if self.modules.contains_key(&joined(&by, next)) {
-                by.push(next.clone());
+                via.pop();
+            } else if self.modules.contains_key(&joined(&via, next)) {
+                via.push(next.clone());
             } else {
                 break;
             }
             rest = later;
         }
         // A module without its own file belongs to the file of its parent.
-        while !self.modules.contains_key(&by) {
-            by.pop()?;
+        while !self.modules.contains_key(&via) {
+            via.pop()?;
         }
-        let written = rest.first().filter(|name| self.modules[&by].uses.contains_key(*name));
-        let written =
-            written.and_then(|_| self.find(&by, rest)).map_or(by.clone(), |[written, _]| written);
-        Some([written, by])
+        let defined = rest.first().filter(|name| self.modules[&via].uses.contains_key(*name));
+        let defined =
+            defined.and_then(|_| self.find(&via, rest)).map_or(via.clone(), |[defined, _]| defined);
+        Some([defined, via])
     }
 }
 
@@ -212,11 +212,11 @@ struct Names<'a> {
 
 impl Names<'_> {
     fn name(&mut self, path: &[String]) {
-        let Some([to, by]) = self.tree.find(&self.module, path) else { return };
+        let Some([to, via]) = self.tree.find(&self.module, path) else { return };
         let file = |module: &Module| self.tree.modules[module].name.clone();
-        let (from, to, by) = (self.file.name.clone(), file(&to), file(&by));
+        let (from, to, via) = (self.file.name.clone(), file(&to), file(&via));
         if from != to {
-            self.imports.insert(Import { from, to, by, path: path.join("::") });
+            self.imports.insert(Import { from, to, via, path: path.join("::") });
         }
     }
 
@@ -228,7 +228,7 @@ impl Names<'_> {
     }
 }
 
-fn of_tests(attributes: &[Attribute]) -> bool {
+fn is_test_only(attributes: &[Attribute]) -> bool {
     let is_test = |attribute: &Attribute| {
         attribute.path().is_ident("cfg")
             && attribute.parse_args::<syn::Path>().is_ok_and(|path| path.is_ident("test"))
@@ -236,13 +236,13 @@ fn of_tests(attributes: &[Attribute]) -> bool {
     attributes.iter().any(is_test)
 }
 
-fn starts_small(name: &str) -> bool {
+fn starts_lowercase(name: &str) -> bool {
     name.starts_with(|first: char| first.is_lowercase())
 }
 
 impl<'ast> Visit<'ast> for Names<'_> {
     fn visit_item_mod(&mut self, item: &'ast ItemMod) {
-        if of_tests(&item.attrs) || item.content.is_none() {
+        if is_test_only(&item.attrs) || item.content.is_none() {
             return;
         }
         self.module.push(item.ident.to_string());
@@ -260,7 +260,7 @@ impl<'ast> Visit<'ast> for Names<'_> {
         let names: Vec<String> =
             path.segments.iter().map(|segment| segment.ident.to_string()).collect();
         // A single lower-case name is a variable, unless it is called.
-        if names.len() > 1 || !starts_small(&names[0]) {
+        if names.len() > 1 || !starts_lowercase(&names[0]) {
             self.mention(&names);
         }
         visit::visit_path(self, path);
@@ -282,7 +282,7 @@ impl<'ast> Visit<'ast> for Names<'_> {
     fn visit_macro(&mut self, call: &'ast Macro) {
         visit::visit_macro(self, call);
         for names in paths(call.tokens.clone()) {
-            if names.len() > 1 || !starts_small(&names[0]) {
+            if names.len() > 1 || !starts_lowercase(&names[0]) {
                 self.mention(&names);
             }
         }

@@ -1,6 +1,6 @@
-//! Checks that imports go one way. A room is a folder or a file directly in `src`. The rooms have a
-//! fixed order, and a room may only use the rooms before it. Within a room, files may use each
-//! other.
+//! Checks that imports go one way. A room is a folder or a Rust file directly in `src`, except
+//! `bindings`. The rooms have a fixed order, and a room may only use the rooms before it. Within a
+//! room, files may use each other.
 //!
 //! `cargo test --test architecture -- --nocapture` prints every import. `architecture/imports.rs`
 //! defines what counts as an import.
@@ -39,12 +39,14 @@ const ROOMS: [&str; 19] = [
 ];
 
 /// For each pair of files, the names of the imports from the first to the second.
-type Ties<'a> = BTreeMap<[&'a str; 2], Vec<&'a str>>;
+type ImportNames<'a> = BTreeMap<[&'a str; 2], Vec<&'a str>>;
 
-fn ties(imports: &BTreeSet<Import>) -> Ties<'_> {
-    let mut ties = Ties::new();
-    imports.iter().for_each(|i| ties.entry([&*i.from, &*i.to]).or_default().push(&i.path));
-    ties
+fn names_by_files(imports: &BTreeSet<Import>) -> ImportNames<'_> {
+    let mut names_by_files = ImportNames::new();
+    imports
+        .iter()
+        .for_each(|i| names_by_files.entry([&*i.from, &*i.to]).or_default().push(&i.path));
+    names_by_files
 }
 
 fn source() -> PathBuf {
@@ -59,17 +61,17 @@ fn room_of(file: &str) -> Option<usize> {
 }
 
 #[test]
-fn no_room_imports_from_one_that_comes_after_it() {
+fn rooms_import_only_from_earlier_rooms() {
     let imports = imports::imports(&source());
     let room = |file: &str| room_of(file).unwrap_or_else(|| panic!("{file} is in no room"));
-    let against = imports.iter().flat_map(|Import { from, to, by, path }| {
-        let later = [to, by].into_iter().filter(|used| room(used) > room(from));
-        later.map(move |used| format!("{from} uses {used}, as {path}"))
+    let violations = imports.iter().flat_map(|Import { from, to, via, path }| {
+        let later = [to, via].into_iter().filter(|used| room(used) > room(from));
+        later.map(move |used| format!("{from} imports {path} from {used}"))
     });
-    let against: BTreeSet<String> = against.collect();
-    assert!(against.is_empty(), "imports from later rooms: {against:#?}");
+    let violations: BTreeSet<String> = violations.collect();
+    assert!(violations.is_empty(), "imports from later rooms: {violations:#?}");
     assert!(imports.len() > 1000, "only {} imports were seen", imports.len());
-    for ([from, to], paths) in ties(&imports) {
+    for ([from, to], paths) in names_by_files(&imports) {
         println!("{from} -> {to}: {}", paths.join(", "));
     }
 }
@@ -86,7 +88,7 @@ fn no_message_of_the_library_names_an_option_of_the_program() {
 }
 
 #[test]
-fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
+fn the_program_and_the_bindings_use_only_the_public_facade() {
     let program = imports::files(&source().join("program"));
     let bindings = imports::files(&source().join("bindings"));
     assert!(program.len() > 15, "only {} files were seen", program.len());
@@ -102,14 +104,14 @@ fn the_program_and_the_bindings_use_nothing_of_the_library_but_its_facade() {
 
 /// Words with which the first line of a comment must not begin, because such a line cannot stand
 /// alone.
-const GOING_ON: [&str; 18] = [
+const DEPENDENT_OPENINGS: [&str; 18] = [
     "Of", "What", "The same", "As", "Its", "Their", "Those", "These", "They", "It", "That", "So",
     "Whose", "Who", "Which", "There", "Another", "Such",
 ];
 
 /// Words with which the summary of a public item must not begin, because such a summary says too
 /// little.
-const TOO_LITTLE: [&str; 6] =
+const VAGUE_OPENINGS: [&str; 6] =
     ["#", "In ", "All of them", "The other.", "How many there are", "How it "];
 
 /// Whether the lines begin with the documentation of a public item.
@@ -122,7 +124,7 @@ fn is_public<'a>(lines: impl IntoIterator<Item = &'a str>) -> bool {
 
 #[test]
 fn first_lines_of_docs_stand_alone() {
-    let (mut seen, mut going_on) = (0, Vec::new());
+    let (mut seen, mut dependent) = (0, Vec::new());
     for file in imports::files(&source()) {
         let text = std::fs::read_to_string(&file).unwrap();
         let mut before = None;
@@ -137,18 +139,18 @@ fn first_lines_of_docs_stand_alone() {
                         .is_some_and(|rest| rest.starts_with(|c: char| !c.is_alphanumeric()))
                 };
                 seen += 1;
-                let says_little = TOO_LITTLE.iter().any(|words| first.starts_with(words));
-                if GOING_ON.iter().any(begins)
-                    || says_little && is_public(text.lines().skip(number))
+                let is_vague = VAGUE_OPENINGS.iter().any(|words| first.starts_with(words));
+                if DEPENDENT_OPENINGS.iter().any(begins)
+                    || is_vague && is_public(text.lines().skip(number))
                 {
-                    going_on.push(format!("{}:{}: {first}", file.display(), number + 1));
+                    dependent.push(format!("{}:{}: {first}", file.display(), number + 1));
                 }
             }
             before = kind;
         }
     }
     assert!(seen > 2000, "only {seen} first lines were seen");
-    assert!(going_on.is_empty(), "{going_on:#?}");
+    assert!(dependent.is_empty(), "{dependent:#?}");
 }
 
 /// Some functions of the standard library return different last bits on different systems. Code

@@ -28,7 +28,7 @@ fn field<'a>(text: &'a str, key: &str) -> Option<&'a str> {
 }
 
 #[test]
-fn what_is_published_has_one_version_that_the_changelog_describes() {
+fn published_packages_share_one_version_that_is_in_the_changelog() {
     let version = env!("CARGO_PKG_VERSION");
     for name in VERSIONED {
         assert_eq!(field(&read(name), "version"), Some(version), "{name}");
@@ -39,16 +39,16 @@ fn what_is_published_has_one_version_that_the_changelog_describes() {
 }
 
 #[test]
-fn the_oldest_rust_is_the_same_for_all_that_is_built() {
+fn manifests_agree_on_the_minimum_rust_version() {
     let oldest = env!("CARGO_PKG_RUST_VERSION");
     for name in ["src/bindings/c/Cargo.toml", "src/bindings/python/Cargo.toml"] {
         assert_eq!(field(&read(name), "rust-version"), Some(oldest), "{name}");
     }
-    assert!(read("README.md").contains(oldest), "README.md requires another Rust version");
+    assert!(read("README.md").contains(oldest), "README.md does not mention Rust {oldest}");
 }
 
 #[test]
-fn addresses_are_those_of_the_repository() {
+fn github_links_in_published_files_lead_to_this_repository() {
     let address = env!("CARGO_PKG_REPOSITORY");
     let named = [
         "src/changelog.md",
@@ -63,6 +63,9 @@ fn addresses_are_those_of_the_repository() {
         let others = text
             .match_indices("https://github.com/")
             .filter(|(at, _)| !text[*at..].starts_with(address));
-        assert!(text.contains(address) && others.count() == 0, "{name} has a wrong address");
+        assert!(
+            text.contains(address) && others.count() == 0,
+            "{name} must link to {address} and to no other GitHub repository"
+        );
     }
 }

@@ -240,7 +240,8 @@ fn shaders_that_check_every_index_give_the_same_mesh() {
     assert_eq!(log.messages(), [""; 0]);
 }
 
-/// Opens a device with optional features. Returns `None` if no device has these features.
+/// Opens a device with optional features. Returns `None`, and reports the test as skipped, if no
+/// device can be opened with these features.
 fn open_with(options: &DeviceOptions) -> Option<(Device, ValidationLog)> {
     match device::open(options) {
         Err(VulkanError::Unsuitable { device, lacks }) => {

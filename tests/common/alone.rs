@@ -31,9 +31,9 @@ fn run(name: &str, mut program: Command, test: impl FnOnce()) {
         return test();
     }
     let output = program.args(["--exact", name]).env(ALONE, name).output().unwrap();
-    let [says, errors] =
+    let [stdout, errors] =
         [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
-    assert!(output.status.success(), "{}: {says}{errors}", output.status);
+    assert!(output.status.success(), "{}: {stdout}{errors}", output.status);
     // With a wrong name, the harness runs no test and reports success.
-    assert!(says.contains("1 passed"), "no test is called {name}: {says}");
+    assert!(stdout.contains("1 passed"), "no test is called {name}: {stdout}");
 }

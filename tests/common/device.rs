@@ -41,24 +41,28 @@ impl Executor for Watched {
     }
 
     fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
-        Box::new(WatchedStages { stages: self.0.start(budget), asked: Mutex::default() })
+        Box::new(WatchedStages { stages: self.0.start(budget), expected_work: Mutex::default() })
     }
 }
 
 #[derive(Debug)]
 struct WatchedStages {
     stages: Box<dyn Stages>,
-    asked: Mutex<Work>,
+    expected_work: Mutex<Work>,
 }
 
 impl WatchedStages {
     /// Fails unless the device has done exactly the work `more` since the last check.
     fn assert_done(&self, more: Work) {
-        let mut asked = self.asked.lock().unwrap();
-        asked.pages += more.pages;
-        asked.regions += more.regions;
+        let mut expected_work = self.expected_work.lock().unwrap();
+        expected_work.pages += more.pages;
+        expected_work.regions += more.regions;
         assert_eq!(self.stages.warnings(), [""; 0], "the backend gave warnings");
-        assert_eq!(self.stages.on_device(), *asked, "the device did not do all of the work");
+        assert_eq!(
+            self.stages.on_device(),
+            *expected_work,
+            "the device did not do all of the work"
+        );
     }
 }
 
@@ -157,11 +161,12 @@ fn hold_alone() {
 /// Chooses the device to test: the device that `MENISCUS_TEST_DEVICE` names, or the best device.
 ///
 /// From this call on, the test runs alone. If `MENISCUS_REQUIRE_VULKAN` is `gpu` or `any`, the
-/// validation layer is optional. If it is `gpu`, a device that computes on the CPU fails the test.
+/// validation layer is optional. If `MENISCUS_REQUIRE_VULKAN` is `gpu` and the chosen device
+/// computes on the CPU, the test fails.
 pub fn chosen() -> Result<(Arc<Instance>, DeviceInfo), VulkanError> {
     hold_alone();
-    let demanded = std::env::var("MENISCUS_REQUIRE_VULKAN").unwrap_or_default();
-    let [gpu, any] = ["gpu", "any"].map(|kind| demanded == kind);
+    let required = std::env::var("MENISCUS_REQUIRE_VULKAN").unwrap_or_default();
+    let [gpu, any] = ["gpu", "any"].map(|kind| required == kind);
     let instance = match Instance::connect(true) {
         Err(VulkanError::NoValidation) if gpu || any => {
             let _ = writeln!(io::stderr(), "without validation: the layer is not installed");
@@ -188,8 +193,8 @@ pub fn open(options: &DeviceOptions) -> Result<(Device, ValidationLog), VulkanEr
 }
 
 /// Returns the backend that all tests of a test program share, on one device. A test fails if its
-/// work falls back to the CPU. Also fails the calling test if there are validation errors. A test
-/// that uses the shared device must not open another device.
+/// work falls back to the CPU. If the validation layers have reported errors, this function fails
+/// the calling test. A test that uses the shared device must not open another device.
 pub fn shared() -> Result<Backend, &'static VulkanError> {
     static SHARED: OnceLock<Result<(Backend, ValidationLog), VulkanError>> = OnceLock::new();
     let open_watched = || {
@@ -209,7 +214,7 @@ pub fn shared() -> Result<Backend, &'static VulkanError> {
 }
 
 /// Prints that the calling test is skipped because there is no device. Fails the test if
-/// `MENISCUS_REQUIRE_VULKAN` requires a device.
+/// `MENISCUS_REQUIRE_VULKAN` is set.
 pub fn skip(why: impl Display) {
     assert!(
         std::env::var_os("MENISCUS_REQUIRE_VULKAN").is_none(),

@@ -81,13 +81,14 @@ fn gaussian(variance: f64, cut: f64) -> Vec<f64> {
     let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
     for _ in 0..60 {
         let middle = (below + above) / 2.0;
-        *(if second(&mask(middle)) < variance { &mut below } else { &mut above }) = middle;
+        *(if variance_of_mask(&mask(middle)) < variance { &mut below } else { &mut above }) =
+            middle;
     }
     mask(below)
 }
 
 /// The variance of the mask whose half is `half`.
-fn second(half: &[f64]) -> f64 {
+fn variance_of_mask(half: &[f64]) -> f64 {
     2.0 * (0_u32..).zip(half).map(|(k, weight)| f64::from(k * k) * weight).sum::<f64>()
 }
 
@@ -127,7 +128,7 @@ fn blur(field: &Dense<u16>, half: &[u64], gain: u32, walls: Option<Mirrors>) -> 
 }
 
 /// Interpolates linearly between two entries of a table of 1024 steps.
-fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
+fn interpolated(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
     let (at, between) = ((share / 32) as usize, share % 32);
     let low = table(at) << bits;
     low + ((((table(at + 1) - table(at)) << bits) * between) >> 5)
@@ -135,7 +136,7 @@ fn looked_up(table: impl Fn(usize) -> i64, share: i64, bits: u32) -> i64 {
 
 /// The smooth step 3 x^2 - 2 x^3, in units of 1 / 4096, as `value` rises from `begin` to `end`,
 /// both in spacings.
-fn passed(value: i64, [begin, end]: [f64; 2]) -> i64 {
+fn smooth_step(value: i64, [begin, end]: [f64; 2]) -> i64 {
     let (begin, range) = (units(begin), units(end) - units(begin));
     let slope = ((1_i64 << 28) + range - 1) / range;
     let x = ((value - begin).clamp(0, range) * slope) >> 16;
@@ -331,8 +332,8 @@ impl Distances {
         let apart = blur(&apart, &integers(&self.around(edge)), 0, walls);
         let mixed = Dense::new(wide.cells, |cell| {
             let distance = (i64::from(apart.at(cell, None)) - 32768).abs();
-            let shallow = 4096 - passed(of_calm(cell) - 32768, DEEP);
-            let share = (passed(distance, APART) * shallow) >> 12;
+            let shallow = 4096 - smooth_step(of_calm(cell) - 32768, DEEP);
+            let share = (smooth_step(distance, APART) * shallow) >> 12;
             (of_calm(cell) + (((of_fine(cell) - of_calm(cell)) * share + 2048) >> 12)) as u16
         });
         let least = ((amount(1.0 / edge) as f64 / PARTS) as u16).max(1);
@@ -407,12 +408,12 @@ impl Drops {
         let width = units(integer_width(&integers(&self.around)) / self.spacing);
         Dense::new(shares.cells, |cell| {
             let [bulk, outlying] = [bulk, outlying].map(|field| i64::from(field.at(cell, None)));
-            let weight = passed(outlying - 32768, STANDS_OUT);
+            let weight = smooth_step(outlying - 32768, STANDS_OUT);
             if weight == 0 {
                 return bulk as u16;
             }
             let share = i64::from(shares.at(cell, None)).min(32768);
-            let away = looked_up(|at| AWAY[at].into(), share, 0);
+            let away = interpolated(|at| AWAY[at].into(), share, 0);
             let out = (units(self.radius) - ((away * width) >> 12) + 32768 - bulk).max(0);
             (bulk + ((out * weight + 2048) >> 12)).clamp(1, 65535) as u16
         })
@@ -473,12 +474,12 @@ fn b_spline(x: f64) -> f64 {
 }
 
 /// The smooth step 3 x^2 - 2 x^3, as `value` rises from `begin` to `end`.
-fn risen(value: f64, [begin, end]: [f64; 2]) -> f64 {
+fn smooth_step_f64(value: f64, [begin, end]: [f64; 2]) -> f64 {
     let x = ((value - begin) / (end - begin)).clamp(0.0, 1.0);
     x * x * (3.0 - 2.0 * x)
 }
 
-fn really_blurred(field: &Dense<f64>, half: &[f64], walls: Option<Mirrors>) -> Dense<f64> {
+fn blurred_f64(field: &Dense<f64>, half: &[f64], walls: Option<Mirrors>) -> Dense<f64> {
     let reach = half.len() as i32 - 1;
     (0..3).fold(field.clone(), |field, axis| {
         Dense::new(field.cells, |cell| {
@@ -489,7 +490,7 @@ fn really_blurred(field: &Dense<f64>, half: &[f64], walls: Option<Mirrors>) -> D
     })
 }
 
-fn really_refined(
+fn refined_f64(
     wide: &Dense<f64>,
     level: u32,
     cells: CellBox,
@@ -519,7 +520,7 @@ impl Distances {
     /// The clouds at every level in f64, each with the walls at that level. A value is the number
     /// of particles in a cell, clamped to the maximum of an integer sample.
     fn real_clouds(&self, particles: &[[f64; 3]]) -> Vec<(Dense<f64>, Option<Mirrors>)> {
-        let told = |level: u32, cloud: Dense<f64>| {
+        let clamped = |level: u32, cloud: Dense<f64>| {
             let most = 65535.0 / amount(self.spacing / f64::from(1 << level)) as f64;
             Dense {
                 cells: cloud.cells,
@@ -538,7 +539,7 @@ impl Distances {
                 *fine.nearest(to) += share;
             }
         }
-        let mut clouds = vec![(told(0, fine), self.walls.map(Mirrors::of))];
+        let mut clouds = vec![(clamped(0, fine), self.walls.map(Mirrors::of))];
         for level in 1..=self.wide().0 {
             let (finer, walls) = clouds.last().expect("level 0 always exists");
             let to = CellBox { lo: finer.cells.lo >> 1, hi: (finer.cells.hi + 1) >> 1 };
@@ -551,7 +552,7 @@ impl Distances {
                 CellBox::cube(IVec3::ZERO, 4).cubes(1).map(tap).sum()
             });
             let walls = walls.map(Mirrors::wider);
-            clouds.push((told(level, wider), walls));
+            clouds.push((clamped(level, wider), walls));
         }
         clouds
     }
@@ -562,7 +563,7 @@ impl Distances {
         let (level, edge) = self.wide();
         let (wide, walls) = self.real_clouds(particles).pop().expect("level 0 always exists");
         let [narrowest, ..] = self.widths(edge);
-        let smooth = really_blurred(&wide, &narrowest, walls);
+        let smooth = blurred_f64(&wide, &narrowest, walls);
         let values = smooth.values.iter().map(|particles| particles / edge.powi(3)).collect();
         (Dense { cells: smooth.cells, values }, level)
     }
@@ -574,24 +575,24 @@ impl Distances {
         let clouds = self.real_clouds(particles);
         let (wide, walls) = clouds.last().expect("level 0 always exists");
         let (bulk, near) = self.real_bulk(wide, *walls, edge);
-        let [bulk, near] = [bulk, near].map(|field| really_refined(&field, level, cells, *walls));
+        let [bulk, near] = [bulk, near].map(|field| refined_f64(&field, level, cells, *walls));
 
         let level = level.max(1) - 1;
         let (fine, walls) = &clouds[level as usize];
         let drops = Drops::new(self.spacing / f64::from(1 << level), level > 0);
-        let around = really_blurred(fine, &drops.around, *walls);
+        let around = blurred_f64(fine, &drops.around, *walls);
         let shares = Dense::new(fine.cells, |cell| match fine.at(cell, None) {
             0.0 => 0.0,
             cloud => cloud / around.at(cell, None),
         });
-        let shares = really_blurred(&shares, &drops.spread, *walls);
-        let shares = really_refined(&shares, level, cells, *walls);
-        let width = width(second(&drops.around)) / drops.spacing;
+        let shares = blurred_f64(&shares, &drops.spread, *walls);
+        let shares = refined_f64(&shares, level, cells, *walls);
+        let width = width(variance_of_mask(&drops.around)) / drops.spacing;
         Dense::new(cells, |cell| {
             let share = shares.at(cell, None);
             let [bulk, near] = [&bulk, &near].map(|field| field.at(cell, None) - 4.0);
             let out = (drops.radius - away(share) * width - bulk).max(0.0);
-            bulk + out * risen(near, STANDS_OUT)
+            bulk + out * smooth_step_f64(near, STANDS_OUT)
         })
     }
 
@@ -606,8 +607,8 @@ impl Distances {
         // The plateau is the sample of a wide cell deep in the fluid, with the gained bits.
         let plateau = f64::from(self.plateau) / (f64::from(1 << GAIN) * amount(1.0 / edge) as f64);
         let depths = self.widths(edge).map(|half| {
-            let width = width(second(&half)) * edge;
-            let smooth = really_blurred(wide, &half, walls);
+            let width = width(variance_of_mask(&half)) * edge;
+            let smooth = blurred_f64(wide, &half, walls);
             let depth =
                 |cell| (quantile(smooth.at(cell, None) / plateau) * width).clamp(-DEEPEST, DEEPEST);
             (Dense::new(wide.cells, depth), width)
@@ -624,7 +625,7 @@ impl Distances {
         let apart = Dense::new(wide.cells, |cell| {
             (fine.at(cell, None) - calm.at(cell, None)).clamp(-FARTHEST_APART, FARTHEST_APART)
         });
-        let apart = really_blurred(&apart, &self.around(edge), walls);
+        let apart = blurred_f64(&apart, &self.around(edge), walls);
         let outlying = Dense::new(wide.cells, |cell| {
             if wide.at(cell, None) >= 1.0 / PARTS { 4.0 - calm.at(cell, None) } else { 0.0 }
         });
@@ -640,7 +641,10 @@ impl Distances {
                 return 0.0;
             }
             let [fine, calm, apart] = [&fine, &calm, &apart].map(|field| field.at(cell, None));
-            4.0 + calm + (fine - calm) * risen(apart.abs(), APART) * (1.0 - risen(calm, DEEP))
+            4.0 + calm
+                + (fine - calm)
+                    * smooth_step_f64(apart.abs(), APART)
+                    * (1.0 - smooth_step_f64(calm, DEEP))
         });
         (bulk, near)
     }

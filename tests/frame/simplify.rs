@@ -243,7 +243,10 @@ fn smallest_drop_counts_particles_for_any_cell_size_and_keeps_bubbles() {
         for (particles, dropped) in [(1, 0), (2, 4), (3, 8), (8, 8), (20, 12)] {
             let reduction = Reduction { smallest_drop: Some(particles), ..Reduction::default() };
             let (mesh, gone) = simplified(&scaled, &sampling, &reduction);
-            assert_eq!(gone, dropped, "fewer than {particles} particles in cells of 1 / {cells}");
+            assert_eq!(
+                gone, dropped,
+                "smallest drop of {particles} particles, cells of 1/{cells} spacings"
+            );
             // Two components always remain: the bulk, and the bubble in it.
             assert_eq!(measure(&mesh).components as u64, 2 + 12 - dropped);
             assert!(check(&mesh).is_closed_oriented_manifold());

@@ -61,9 +61,9 @@ pub fn mutated(seeds: &[Vec<u8>], words: &[&str], number: u64) -> Vec<u8> {
 }
 
 /// Replaces `width` bytes with the bytes of a number.
-fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big: bool) {
+fn put_number(data: &mut [u8], at: usize, number: u64, width: usize, big_endian: bool) {
     let mut bytes = number.to_le_bytes()[..width].to_vec();
-    if big {
+    if big_endian {
         bytes.reverse();
     }
     data[at..].iter_mut().zip(bytes).for_each(|(to, byte)| *to = byte);

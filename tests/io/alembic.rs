@@ -53,7 +53,7 @@ struct Reader<'a> {
     bytes: &'a [u8],
     listed: Vec<String>,
     /// Maps the start of each block that was read to the end of the block.
-    seen: BTreeMap<usize, usize>,
+    read_blocks: BTreeMap<usize, usize>,
     found: Archive,
 }
 
@@ -86,7 +86,7 @@ impl<'a> Reader<'a> {
         }
         let at = at as usize;
         let count = word(self.bytes, at) as usize;
-        self.seen.insert(at, at + 8 + 8 * count);
+        self.read_blocks.insert(at, at + 8 + 8 * count);
         (0..count).map(|child| Child(word(self.bytes, at + 8 + 8 * child))).collect()
     }
 
@@ -97,7 +97,7 @@ impl<'a> Reader<'a> {
             return &[];
         }
         let length = word(self.bytes, at) as usize;
-        self.seen.insert(at, at + 8 + length);
+        self.read_blocks.insert(at, at + 8 + length);
         &self.bytes[at + 8..][..length]
     }
 
@@ -140,7 +140,7 @@ impl<'a> Reader<'a> {
             let width = 1 << (bits >> 2 & 3);
             let is_compound = bits & 3 == 0;
             let count = if is_compound { 0 } else { number(&mut headers, width) };
-            assert_eq!(bits >> 9 & 1, 0, "a range of changed samples");
+            assert_eq!(bits >> 9 & 1, 0, "unexpected range of changed samples");
             let sampling = if bits >> 8 & 1 == 1 { number(&mut headers, width) } else { 0 };
             let length = number(&mut headers, width);
             let path = format!("{path}/{}", text(&mut headers, length));
@@ -159,7 +159,10 @@ impl<'a> Reader<'a> {
             assert_eq!(children.len(), blocks * count as usize, "number of samples of {path}");
             assert_eq!(bits >> 11 & 1 == 1, count < 2, "constant flag of {path}");
             let samples = children.chunks(blocks).map(|children| {
-                assert!(children[1..].iter().all(|child| child.0 == 1 << 63), "with dimensions");
+                assert!(
+                    children[1..].iter().all(|child| child.0 == 1 << 63),
+                    "unexpected dimensions of {path}"
+                );
                 let Some((digest, values)) = self.data(children[0]).split_at_checked(16) else {
                     return Vec::new();
                 };
@@ -187,7 +190,7 @@ fn read(bytes: &[u8]) -> (Archive, usize) {
         values: BTreeMap::new(),
         groups: BTreeMap::new(),
     };
-    let mut reader = Reader { bytes, listed: Vec::new(), seen: BTreeMap::new(), found };
+    let mut reader = Reader { bytes, listed: Vec::new(), read_blocks: BTreeMap::new(), found };
     let root = reader.group(Child(word(bytes, 8)));
     let [version, library, top, metadata, samplings, listed] = root[..] else { panic!("root") };
     assert_eq!(reader.data(version), 0_i32.to_le_bytes());
@@ -217,7 +220,7 @@ fn read(bytes: &[u8]) -> (Archive, usize) {
     reader.object("", top);
     let mut end = 16;
     let mut unused = 0;
-    for (&start, &after) in &reader.seen {
+    for (&start, &after) in &reader.read_blocks {
         assert!(start >= end, "a block at {start} begins before {end}");
         unused += start - end;
         end = after;
@@ -555,8 +558,9 @@ fn a_simulation_archive_is_independent_of_threads_and_resume() {
     let summaries = run(simulation("later/wave.abc", 2).resume());
     assert_eq!(summaries[0].made, 2);
     assert!(bytes == fs::read(at("later/wave.abc")).unwrap());
-    // If an input has changed, a new frame replaces the frame of this input in the archive. The
-    // space of the old frame remains unused, so that a new archive is smaller.
+    // If an input has changed, a new frame replaces the frame of this input in the archive. With
+    // `overwrite`, the library writes a new archive, which is smaller than the first one, because
+    // frame 4 now has fewer particles.
     fs::write(at("in/f_4.xyz"), fs::read(at("in/f_2.xyz")).unwrap()).unwrap();
     assert_eq!(run(simulation("later/wave.abc", 2).resume())[0].made, 1);
     let (changed, _) = read(&fs::read(at("later/wave.abc")).unwrap());

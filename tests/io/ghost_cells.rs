@@ -198,14 +198,30 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
         (corners(2), corners(4), "partition 3: cell 4 of 5 refers to point 4 of 4"),
         (corners(2), corners(-1), "partition 3: cell 4 of 5 refers to point -1 of 4"),
         (ids_of(5), ids_of(4), "partition 3: 5 cells refer to 4 points"),
-        (ids_of(5), ids_of(6), "partition 3: Connectivity has 5 more numbers, expected 6"),
+        (
+            ids_of(5),
+            ids_of(6),
+            "partition 3: Connectivity has only 5 of the 6 numbers of this partition",
+        ),
         (ids_of(5), ids_of(-1), "NumberOfConnectivityIds contains -1"),
         (ids_of(5), ids_of(1 << 62), "too many for the size"),
-        (counts(5), counts(6), "partition 3: Offsets has 6 more numbers, expected 7"),
+        (
+            counts(5),
+            counts(6),
+            "partition 3: Offsets has only 6 of the 7 numbers of this partition",
+        ),
         (counts(5), counts(-1), "NumberOfCells contains -1"),
         (counts(5), counts(1 << 62), "too many for the size"),
-        (data(6), data(13), "partition 3: vtkGhostType has 4 more numbers, expected 5"),
-        (data(6), data(i64::MAX), "partition 3: vtkGhostType has 0 more numbers, expected 5"),
+        (
+            data(6),
+            data(13),
+            "partition 3: vtkGhostType has only 4 of the 5 numbers of this partition",
+        ),
+        (
+            data(6),
+            data(i64::MAX),
+            "partition 3: vtkGhostType has only 0 of the 5 numbers of this partition",
+        ),
     ] {
         let damaged = replaced(&bytes, &from, &to);
         let (result, largest) = memory::largest_allocation(|| read(&damaged, 1));
@@ -223,8 +239,8 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
         damaged.filter_map(|read| read.err().map(|fault| fault.to_string())).collect()
     };
     for (cell, message) in [
-        (1 << 40, "partition 2: Offsets has 0 more numbers, expected 5"),
-        (1 << 40, "partition 3: Connectivity has 0 more numbers, expected 5"),
+        (1 << 40, "partition 2: Offsets has only 0 of the 5 numbers of this partition"),
+        (1 << 40, "partition 3: Connectivity has only 0 of the 5 numbers of this partition"),
         (-6, "CellOffsets contains -6"),
         (-6, "ConnectivityIdOffsets contains -6"),
     ] {

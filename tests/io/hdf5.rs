@@ -195,12 +195,12 @@ fn an_array_with_too_many_numbers_per_particle_is_named() {
     assert_eq!(attribute(&file, "gradient"), (0..540).map(|x| x as f32).collect::<Vec<_>>());
     let wide = UnreadPart::WideArray { name: "spectrum".into(), numbers: 100 };
     assert_eq!(file.left_out, [wide]);
-    for (asked, is_left_out) in [("spectrum", true), ("heat", false)] {
-        let request = Reconstruction::new().spacing(1.0).attributes([asked]);
+    for (requested, is_left_out) in [("spectrum", true), ("heat", false)] {
+        let request = Reconstruction::new().spacing(1.0).attributes([requested]);
         let error = request.run_file(data("types.h5")).unwrap_err();
         assert!(
             matches!(&error, Error::NoAttribute { name, left_out, .. }
-                if name == asked && left_out.is_some() == is_left_out),
+                if name == requested && left_out.is_some() == is_left_out),
             "{error}"
         );
     }

@@ -18,8 +18,8 @@ thread_local! {
 /// Whether [`peak_of_process`] is measuring.
 static COUNTING: AtomicBool = AtomicBool::new(false);
 /// The number of bytes that all threads have allocated and not freed since the measurement began.
-static HELD: AtomicIsize = AtomicIsize::new(0);
-/// The peak of [`HELD`].
+static ALLOCATED: AtomicIsize = AtomicIsize::new(0);
+/// The peak of [`ALLOCATED`].
 static PEAK: AtomicIsize = AtomicIsize::new(0);
 
 struct Meter;
@@ -32,9 +32,9 @@ unsafe impl GlobalAlloc for Meter {
             return std::ptr::null_mut();
         }
         if COUNTING.load(Ordering::Relaxed) {
-            let held =
-                HELD.fetch_add(layout.size() as isize, Ordering::Relaxed) + layout.size() as isize;
-            PEAK.fetch_max(held, Ordering::Relaxed);
+            let allocated = ALLOCATED.fetch_add(layout.size() as isize, Ordering::Relaxed)
+                + layout.size() as isize;
+            PEAK.fetch_max(allocated, Ordering::Relaxed);
         }
         // SAFETY: the caller's guarantees also hold for the system allocator.
         unsafe { System.alloc(layout) }
@@ -42,7 +42,7 @@ unsafe impl GlobalAlloc for Meter {
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         if COUNTING.load(Ordering::Relaxed) {
-            HELD.fetch_sub(layout.size() as isize, Ordering::Relaxed);
+            ALLOCATED.fetch_sub(layout.size() as isize, Ordering::Relaxed);
         }
         // SAFETY: the caller's guarantees also hold for the system allocator.
         unsafe { System.dealloc(pointer, layout) }
@@ -75,7 +75,7 @@ pub fn unlimited<T>(call: impl FnOnce() -> T) -> T {
 ///
 /// Other tests in the process would be counted too, so the caller must run in its own process.
 pub fn peak_of_process(call: impl FnOnce()) -> usize {
-    HELD.store(0, Ordering::Relaxed);
+    ALLOCATED.store(0, Ordering::Relaxed);
     PEAK.store(0, Ordering::Relaxed);
     COUNTING.store(true, Ordering::Relaxed);
     call();

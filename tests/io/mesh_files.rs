@@ -105,7 +105,9 @@ fn colours_are_written_as_bytes_or_as_fractions_by_format() {
     for mesh in [floats, mesh(of_kind), mesh(of_shorts)] {
         for format in FORMATS.into_iter().filter(|format| format.holds_attributes()) {
             let read = format.read(&written(format, &mesh, CoordinateWidth::F32)).unwrap();
-            let [colour] = &read.attributes[..] else { panic!("{format:?}: not one attribute") };
+            let [colour] = &read.attributes[..] else {
+                panic!("{format:?}: expected one attribute")
+            };
             assert_eq!((&colour.values, colour.kind), (&bytes, kind), "{format:?}");
             let name = if format == MeshFormat::Ply { "color" } else { "Cd" };
             assert_eq!(colour.name, name, "{format:?}");
@@ -522,8 +524,8 @@ fn invalid_vtp_files_are_refused_with_the_reason() {
         ("NumberOfVerts", "NumberOfStrips", "triangle strips"),
         ("<Piece", "<Piece NumberOfPoints=\"0\"/><Piece", "2 pieces"),
         ("7 8 9 10", "7 8 9", "array id must have 1 numbers for each of 4 points"),
-        ("4\n7", "4\n8", "polygon 1 has no corners from 4 to 8"),
-        ("4\n7", "4\n3", "polygon 1 has no corners from 4 to 3"),
+        ("4\n7", "4\n8", "the range of corners 4 to 8 of polygon 1 is invalid"),
+        ("4\n7", "4\n3", "the range of corners 4 to 3 of polygon 1 is invalid"),
         ("4\n7", "7", "2 polygons are announced, but 1 have offsets"),
         ("2 3 3", "2 4 3", "face 0 refers to vertex 4, but the file has 4"),
         ("<Points>", "<Other>", "expected `</Other>`"),

@@ -56,7 +56,7 @@ impl Cut {
         Self { mesh: mesh.clone(), pieces, lost: [None; 2] }
     }
 
-    fn found(&self, what: usize, piece: usize) -> io::Result<Range<usize>> {
+    fn range(&self, what: usize, piece: usize) -> io::Result<Range<usize>> {
         match self.lost[what] {
             Some(lost) if lost == piece => Err(io::Error::other(format!("piece {piece} is lost"))),
             _ => Ok(self.pieces[piece][what].clone()),
@@ -77,7 +77,7 @@ impl MeshSource for Cut {
     }
 
     fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
-        let range = self.found(0, piece)?;
+        let range = self.range(0, piece)?;
         let Mesh { positions, normals, attributes, .. } = &self.mesh;
         Ok(Vertices {
             positions: Cow::Owned(positions[range.clone()].to_vec()),
@@ -91,7 +91,7 @@ impl MeshSource for Cut {
         })
     }
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
-        let range = self.found(1, piece)?;
+        let range = self.range(1, piece)?;
         Ok(self.mesh.triangles[range].iter().map(|t| t.map(u64::from)).collect())
     }
 }
@@ -186,7 +186,7 @@ fn writing_pieces_with_a_missing_vertex_panics() {
 }
 
 #[test]
-#[should_panic = "is named of 1200"]
+#[should_panic = "a triangle refers to vertex"]
 fn writing_a_triangle_with_a_missing_vertex_panics() {
     let mut mesh = torus(40, 30);
     mesh.triangles[7][1] = 1200;
@@ -194,7 +194,7 @@ fn writing_a_triangle_with_a_missing_vertex_panics() {
 }
 
 #[test]
-#[should_panic = "one normal a vertex"]
+#[should_panic = "one normal per vertex"]
 fn writing_more_normals_than_vertices_panics() {
     let mesh =
         Mesh { normals: Some(vec![[0.; 3]; 9]), positions: vec![[0.; 3]; 8], ..Mesh::default() };

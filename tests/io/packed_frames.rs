@@ -198,7 +198,7 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
     let found = dif(&folder.file(&good), 0);
     assert_eq!((found.facts, found.indicator), (frame.facts, frame.indicator));
     assert!(encoded(&found) == good);
-    // Unmap the file: Windows cannot replace a mapped file.
+    // Unmap the file, because Windows cannot replace a mapped file.
     drop(found);
     let Layout { footer, index } = Layout::of(&good);
     let (layout, faces) = (Layout { footer, index: index + 56 }, footer + 136);
@@ -209,7 +209,7 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
         (faces + 32, 2.5_f64.to_le_bytes().into(), "which is twice the reach"),
         (faces + 48, u32::MAX.to_le_bytes().into(), "the periodic box is invalid"),
         (faces + 52, 1_u32.to_le_bytes().into(), "the periodic box is invalid"),
-        (footer + 32, 1_u32.to_le_bytes().into(), "cannot be that of"),
+        (footer + 32, 1_u32.to_le_bytes().into(), "which does not fit"),
     ];
     for (at, patch, expected) in cases {
         let mut bad = good.clone();
@@ -301,11 +301,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
     let Layout { footer, index } = layout;
     let second = index + 44;
     let cases: Vec<(usize, Vec<u8>, &str)> = vec![
-        (
-            8,
-            4_u32.to_le_bytes().into(),
-            "version 4 of packed frames; versions 1 to 3 are supported",
-        ),
+        (8, 4_u32.to_le_bytes().into(), "version 4 of packed frames is not supported, only 1 to 3"),
         (8, 3_u32.to_le_bytes().into(), "the flags of another version"),
         (8, 0_u32.to_le_bytes().into(), "version 0 of packed frames"),
         (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
@@ -313,7 +309,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
         (footer, f64::NAN.to_le_bytes().into(), "origin"),
         (footer + 24, 0_f64.to_le_bytes().into(), "cell-size"),
         (footer + 32, 8_u32.to_le_bytes().into(), "flags"),
-        (footer + 32, 4_u32.to_le_bytes().into(), "another indicator"),
+        (footer + 32, 4_u32.to_le_bytes().into(), "need the indicator cloud"),
         (footer + 32, 3_u32.to_le_bytes().into(), "periodic box"),
         (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),
         (footer + 36, 3_u32.to_le_bytes().into(), "indicator 3"),
@@ -323,9 +319,9 @@ fn invalid_values_with_valid_checksums_are_refused() {
         (footer + 88, 0_f64.to_le_bytes().into(), "mu0"),
         (footer + 96, (-1_f64).to_le_bytes().into(), "spacing"),
         (footer + 104, 1_u64.to_le_bytes().into(), "more full cells than particles"),
-        (footer + 136, 1_u64.to_le_bytes().into(), "cannot be that of 1 pages"),
-        (footer + 136, u64::MAX.to_le_bytes().into(), "cannot be that of"),
-        (index, (1_u64 << 63).to_le_bytes().into(), "names no bin"),
+        (footer + 136, 1_u64.to_le_bytes().into(), "which does not fit 1 pages"),
+        (footer + 136, u64::MAX.to_le_bytes().into(), "which does not fit"),
+        (index, (1_u64 << 63).to_le_bytes().into(), "the Morton key of a page is invalid"),
         (index, 0_u64.to_le_bytes().into(), "beyond the grid or the walls"),
         (second, good[index..index + 8].into(), ""),
         (index + 8, 17_u64.to_le_bytes().into(), "where the one before it ends"),
@@ -380,14 +376,14 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
     let mut again = Vec::new();
     write_frame(&mut again, found.samples()).unwrap();
     assert!(again == good, "the rewritten bytes differ");
-    // Unmap the file: Windows cannot replace a mapped file.
+    // Unmap the file, because Windows cannot replace a mapped file.
     drop(found);
     let Layout { footer, index } = Layout::of(&good);
     let (layout, sizes) = (Layout { footer, index: index + 16 }, footer + 136);
     let index = layout.index;
     let cases: Vec<(usize, Vec<u8>, &str)> = vec![
         (8, 2_u32.to_le_bytes().into(), "the flags of another version"),
-        (footer + 36, 0_u32.to_le_bytes().into(), "another indicator"),
+        (footer + 36, 0_u32.to_le_bytes().into(), "need the indicator cloud"),
         (footer + 96, 0_f64.to_le_bytes().into(), "the sizes of the particles are invalid"),
         (sizes, 0_f64.to_le_bytes().into(), "the sizes of the particles are invalid"),
         (sizes, f64::NAN.to_le_bytes().into(), "the sizes of the particles are invalid"),

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use meniscus::internals::io::bytes::Unpacking;
-use meniscus::internals::io::frame_files::pieces_named;
+use meniscus::internals::io::frame_files::listed_pieces;
 use meniscus::internals::io::input::{holds_mesh, open_particles};
 use meniscus::internals::io::output::{MeshOutput, read_mesh};
 use meniscus::internals::io::whole::Replace;
@@ -256,7 +256,7 @@ fn piece_names_are_resolved_in_windows_and_url_spelling() {
         (&absolute, "p/0.vtu"),
     ] {
         set.write("a.pvtu", &list(&[name]));
-        assert_eq!(pieces_named(&set.path("a.pvtu")).unwrap(), [set.path(path)], "{name}");
+        assert_eq!(listed_pieces(&set.path("a.pvtu")).unwrap(), [set.path(path)], "{name}");
         assert_eq!(set.open().unwrap().particles.len(), 2, "{name}");
     }
 }
@@ -307,7 +307,7 @@ fn truncated_lists_and_pieces_are_refused_and_flipped_bytes_never_panic() {
                 fs::write(set.path(name), bytes).unwrap();
                 let _ = (
                     set.open(),
-                    pieces_named(&set.path("a.pvtu")),
+                    listed_pieces(&set.path("a.pvtu")),
                     holds_mesh(&set.path("a.pvtu")),
                 );
             }

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input::{self, InputFormat};
-use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::io::scene::spacing_from_scene;
 use meniscus::internals::io::text_format::TextHint;
 use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{
@@ -480,10 +480,10 @@ fn legacy_and_xml_vtk_files_take_the_time_from_the_same_fields() {
             assert_eq!(read(reader, text.as_bytes()).unwrap().time, time, "{text}");
         }
     }
-    let announced = xml(&[("time", "1 2")]);
-    let not = announced.replace(" NumberOfTuples=\"2\"", "");
-    assert_ne!(not, announced);
-    assert_eq!(read(VTU, not.as_bytes()).unwrap().time, None, "two numbers are not a time");
+    let declared = xml(&[("time", "1 2")]);
+    let undeclared = declared.replace(" NumberOfTuples=\"2\"", "");
+    assert_ne!(undeclared, declared);
+    assert_eq!(read(VTU, undeclared.as_bytes()).unwrap().time, None, "two numbers are not a time");
 }
 
 #[test]
@@ -548,7 +548,7 @@ fn npz_positions_are_found_by_name_or_as_the_only_candidate() {
 }
 
 #[test]
-fn velocities_have_names_like_those_of_positions() {
+fn velocities_are_recognised_by_names_like_those_of_positions() {
     let points = tuples(4);
     let vectors = || build::npy(&points, "<f4", false);
     for (position, velocity) in [
@@ -913,7 +913,7 @@ fn huge_counts_of_encoded_numbers_are_refused_without_allocating() {
 }
 
 #[test]
-fn a_last_vtk_block_without_any_blocks_is_refused() {
+fn a_last_vtk_block_size_without_blocks_is_refused() {
     for layout in
         VtkXml::all().into_iter().filter(|l| l.is_compressed() && l.placed == Placed::AppendedRaw)
     {
@@ -1383,10 +1383,10 @@ fn an_unknown_extension_is_refused_before_the_file_is_opened() {
 #[test]
 fn the_spacing_is_found_in_scene_files_next_to_or_above_the_frames() {
     let (spacing, scene) =
-        spacing_beside(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
+        spacing_from_scene(&data("dambreak_small/ParticleData_Fluid_1.bgeo")).unwrap();
     assert_eq!((spacing, scene), (0.05, data("dambreak_small/scene.json")));
     let (spacing, case) =
-        spacing_beside(&data("dualsphysics_dambreak/particles/PartFluid_0000.vtk")).unwrap();
+        spacing_from_scene(&data("dualsphysics_dambreak/particles/PartFluid_0000.vtk")).unwrap();
     assert_eq!((spacing, case), (0.02, data("dualsphysics_dambreak/CaseDambreak.xml")));
 
     let folder = tempfile::tempdir().unwrap();
@@ -1394,9 +1394,9 @@ fn the_spacing_is_found_in_scene_files_next_to_or_above_the_frames() {
     std::fs::create_dir_all(&frames).unwrap();
     let frame = frames.join("a.bgeo");
     let scene = |radius: &str| format!(r#"{{"Configuration": {{"particleRadius": {radius}}}}}"#);
-    assert_eq!(spacing_beside(&frame), None);
+    assert_eq!(spacing_from_scene(&frame), None);
     std::fs::write(folder.path().join("run/z.json"), scene("1")).unwrap();
-    assert_eq!(spacing_beside(&frame).unwrap().0, 2.0);
+    assert_eq!(spacing_from_scene(&frame).unwrap().0, 2.0);
     std::fs::write(frames.join("b.json"), scene("3")).unwrap();
     for other in 'c'..='z' {
         std::fs::write(frames.join(format!("{other}.json")), scene("3")).unwrap();
@@ -1412,9 +1412,9 @@ fn the_spacing_is_found_in_scene_files_next_to_or_above_the_frames() {
     ] {
         std::fs::write(frames.join(name), no_scene).unwrap();
     }
-    assert_eq!(spacing_beside(&frame).unwrap(), (6.0, frames.join("b.json")));
+    assert_eq!(spacing_from_scene(&frame).unwrap(), (6.0, frames.join("b.json")));
     std::fs::write(frames.join("y.json"), scene("4")).unwrap();
-    assert_eq!(spacing_beside(&frame), None);
+    assert_eq!(spacing_from_scene(&frame), None);
 }
 
 #[test]

@@ -1,5 +1,5 @@
-//! Tests of HDF5 frames of large simulation codes, each written by the library of that code: valid
-//! files are read, and damaged files never cause a panic.
+//! Tests of HDF5 frames of large simulation codes: valid files are read, and damaged files never
+//! cause a panic. `tests/data/README.md` says which library wrote each file.
 //!
 //! `MENISCUS_EVERY_BYTE=1` truncates each file at every byte, and flips every byte.
 

@@ -86,7 +86,7 @@ fn a_vtu_cell_with_an_area_or_volume_makes_a_mesh_in_every_encoding() {
 }
 
 #[test]
-fn every_piece_of_a_vtu_counts_and_cells_that_are_not_announced_do_not() {
+fn every_piece_of_a_vtu_counts_but_undeclared_cells_do_not() {
     let folder = TempDir::new().unwrap();
     let count = |types| faces(&written(&folder, "a.vtu", grid(types)));
     assert_eq!(count(["1 1 1", "1 9"]), 1);

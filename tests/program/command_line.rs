@@ -39,7 +39,7 @@ fn assert_refused(folder: &Path, arguments: &[&str], code: i32, message: &[&str]
         assert!(errors.contains(word), "{arguments:?} does not print {word:?}: {errors}");
     }
     assert!(!errors.contains("panicked"), "{errors}");
-    assert_eq!(names(folder), before, "{arguments:?} left something behind");
+    assert_eq!(names(folder), before, "{arguments:?} changed the folder");
 }
 
 #[test]
@@ -418,7 +418,8 @@ fn commands_without_memory_or_threads_fail_and_leave_no_files() {
 fn devices_are_not_used_if_threads_of_drivers_would_overflow_their_stacks() {
     let folder = folder_with_ball();
     let reconstruct = "reconstruct ball.xyz -o out.ply --overwrite --backend";
-    // The stack also holds the environment, so a limit near 16 KiB ends some runs before `main`.
+    // With a limit near 16 KiB, some runs would end before `main`, because the stack also holds the
+    // environment.
     for kib in [128, 255] {
         let limit = format!("ulimit -s {kib}");
         let run = in_shell(folder.path(), &limit, &format!("{reconstruct} vulkan"));
@@ -570,8 +571,8 @@ fn a_cell_size_too_small_for_the_memory_is_refused_with_one_that_fits() {
         .skip(1)
         .map(|s| s.trim_start_matches("at least ").split([' ', ',']).next().unwrap())
         .collect();
-    let [asked, fitting] = sizes[..] else { panic!("{errors}") };
-    assert_eq!(asked, "0.5");
+    let [requested, fitting] = sizes[..] else { panic!("{errors}") };
+    assert_eq!(requested, "0.5");
     let fitted = run(fitting);
     assert!(fitted.status.success(), "{fitting}: {}", String::from_utf8_lossy(&fitted.stderr));
 }
@@ -584,7 +585,7 @@ fn a_dry_run_prints_estimates_and_writes_nothing() {
     let messages = String::from_utf8_lossy(&run.stdout).into_owned();
     assert!(messages.contains("memory"), "{messages}");
     assert_eq!(names(folder.path()), ["ball.xyz"]);
-    // A dry run computes a small frame completely, so its number of triangles is exact.
+    // A dry run computes a small frame completely, so the printed number of triangles is exact.
     let figure = |name: &str| -> u64 {
         let line = messages.lines().find_map(|line| line.strip_prefix(&format!("{name}: about ")));
         line.unwrap().split(' ').next().unwrap().parse().unwrap()
@@ -659,7 +660,7 @@ fn check_exits_0_only_for_a_closed_oriented_manifold() {
 }
 
 #[test]
-fn check_goes_on_after_a_damaged_mesh_and_then_fails() {
+fn check_continues_after_a_damaged_mesh_and_then_fails() {
     let folder = folder_with_ball();
     for name in ["mesh/a_1.ply", "mesh/a_2.ply", "mesh/a_3.usdc"] {
         assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", name]).status.success());
@@ -738,7 +739,7 @@ fn a_closed_standard_output_is_not_an_error() {
 }
 
 #[test]
-fn statistics_never_replace_inputs_or_outputs_or_outlive_a_failed_run() {
+fn statistics_replace_no_input_or_output_and_a_failed_run_leaves_none() {
     let folder = folder_with_ball();
     let before = fs::read(folder.path().join("ball.xyz")).unwrap();
     for stats in ["ball.xyz", "out.ply", "./out.ply"] {
@@ -914,7 +915,7 @@ fn a_missing_device_exits_with_5_and_leaves_no_files() {
         let errors = String::from_utf8_lossy(&run.stderr);
         assert_eq!(run.status.code(), Some(5), "{options:?}: {errors}");
         assert!(errors.contains("Vulkan") && !errors.contains("panicked"), "{options:?}: {errors}");
-        assert_eq!(names(folder.path()), before, "{options:?} left something behind");
+        assert_eq!(names(folder.path()), before, "{options:?} changed the folder");
     }
     let auto = on_vulkan(folder.path(), &reconstruct, &NO_DRIVER);
     assert!(auto.status.success(), "{}", String::from_utf8_lossy(&auto.stderr));
@@ -1153,7 +1154,7 @@ fn a_surface_that_loses_most_of_its_particles_causes_a_warning() {
     assert!(!notes(&[]).contains("warning"));
     let lost = notes(&["--indicator", "counting", "--iso", "0.28"]);
     assert!(lost.contains("% of the volume of") && lost.contains("a lower --iso"), "{lost}");
-    // A ball, and spray with three times as many particles.
+    // Use a ball and spray with three times as many particles.
     let mut random = Random::new(3);
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 4.0);
     let spray = (0..3 * ball.len()).map(|_| [(); 3].map(|()| 10.0 + 200.0 * random.unit()));
@@ -1447,14 +1448,14 @@ fn a_given_format_overrides_the_file_extension() {
 }
 
 #[test]
-fn frames_inside_a_file_are_found_in_the_format_that_is_named() {
+fn frames_inside_a_file_are_found_with_a_given_format() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);
     let run = |arguments: &[&str], code: i32| {
         let run = meniscus(folder.path(), arguments);
-        let said = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
-        assert_eq!(run.status.code(), Some(code), "{arguments:?}: {said}");
-        said
+        let messages = String::from_utf8_lossy(&[run.stdout, run.stderr].concat()).into_owned();
+        assert_eq!(run.status.code(), Some(code), "{arguments:?}: {messages}");
+        messages
     };
     let ball = fill(10.0, 2.0, 0.2, 3, |p| p.length() < 5.0);
     let frame = |by: f64| {
@@ -1491,6 +1492,6 @@ fn frames_inside_a_file_are_found_in_the_format_that_is_named() {
     assert!(made == known);
     // A step cannot be selected in a format with a single frame.
     fs::copy(path("one.xyz"), path("points.json")).unwrap();
-    let said = run(&["info", "points.json#0"], 3);
-    assert!(said.contains("single frame"), "{said}");
+    let messages = run(&["info", "points.json#0"], 3);
+    assert!(messages.contains("single frame"), "{messages}");
 }

@@ -186,7 +186,7 @@ fn every_option_combination_gives_a_valid_mesh_or_an_error_without_files() {
 }
 
 #[test]
-fn options_of_other_programs_are_answered_with_our_equivalents() {
+fn options_of_other_programs_lead_to_a_hint_with_our_option() {
     let folder = TempDir::new().unwrap();
     let pairs = [
         ("--particle-radius=0.025", "'--radius'"),

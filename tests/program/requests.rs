@@ -25,7 +25,7 @@ fn refused(folder: &Path, arguments: &[&str], message: &str) {
     let before = tree(folder);
     let errors = run(folder, arguments, 2);
     assert!(errors.contains(message), "{arguments:?} does not print {message:?}: {errors}");
-    assert!(tree(folder) == before, "{arguments:?} left something behind");
+    assert!(tree(folder) == before, "{arguments:?} changed the folder");
 }
 
 fn ball(radius: f64) -> Vec<[f64; 3]> {

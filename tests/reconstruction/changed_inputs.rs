@@ -163,11 +163,11 @@ fn truncating_an_input_during_decoding_is_an_error_or_has_no_effect() {
     assert!(changed > 0, "no file was shortened while it was read");
 }
 
-/// Particles that stay the same for the first `still` readings. In all later readings, the first
-/// particle is displaced by the vector `by`.
+/// Particles that stay the same for the first `stable_passes` passes. In all later passes, the
+/// first particle is displaced by the vector `by`.
 struct Unstable {
     particles: Vec<[f64; 3]>,
-    still: usize,
+    stable_passes: usize,
     passes: AtomicUsize,
     by: [f64; 3],
 }
@@ -179,7 +179,7 @@ impl Particles for Unstable {
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
         out.copy_from_slice(&self.particles[first..first + out.len()]);
-        if first == 0 && self.passes.fetch_add(1, Ordering::Relaxed) >= self.still {
+        if first == 0 && self.passes.fetch_add(1, Ordering::Relaxed) >= self.stable_passes {
             (0..3).for_each(|axis| out[0][axis] += self.by[axis]);
         }
     }
@@ -194,8 +194,12 @@ fn a_particle_that_changes_its_bin_between_two_passes_is_an_error() {
             // Use enough cells that the library does not keep the positions after the first pass,
             // but reads them again.
             let request = Reconstruction::new().spacing(0.5).cell(0.15).memory(budget);
-            let unstable =
-                |still| Unstable { particles: particles.clone(), still, passes: 0.into(), by };
+            let unstable = |stable_passes| Unstable {
+                particles: particles.clone(),
+                stable_passes,
+                passes: 0.into(),
+                by,
+            };
             let stable = unstable(usize::MAX);
             request.sample(&stable).unwrap();
             let passes = stable.passes.into_inner();

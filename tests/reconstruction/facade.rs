@@ -457,7 +457,7 @@ impl Particles for CountedPasses {
 }
 
 #[test]
-fn walls_are_found_with_one_more_pass_over_many_particles() {
+fn finding_walls_needs_two_more_passes_over_the_particles() {
     let pool = fill(84.0, 1.0, 0.2, 3, |p| p.y < 0.0 && p.abs().max_element() < 52.0);
     assert!(pool.len() > 1 << 19, "{}", pool.len());
     let passes = |request: Reconstruction| {
@@ -466,7 +466,8 @@ fn walls_are_found_with_one_more_pass_over_many_particles() {
         drop(frame);
         counted.passes.into_inner()
     };
-    // Finding walls needs two more passes, because the spacing is checked first.
+    // Usually, the library counts the particles in the pass that checks the spacing. To find walls,
+    // it first checks the spacing, then finds the walls, and then counts, in three passes.
     let (plain, sought) =
         (passes(Reconstruction::new()), passes(Reconstruction::new().find_domain()));
     assert_eq!(sought, plain + 2);

@@ -76,7 +76,7 @@ fn spilling_particles_field_and_surface_does_not_change_the_mesh() {
 }
 
 #[test]
-fn wide_attributes_have_the_values_of_narrow_ones_at_little_more_memory() {
+fn wide_attributes_match_narrow_ones_and_need_little_more_memory() {
     const WIDE: usize = 100;
     let narrow = |_, position: [f64; 3]| position.map(|c| c as f32);
     let wide = |_, position: [f64; 3]| std::array::from_fn(|i| position[i % 3] as f32);
@@ -215,7 +215,7 @@ fn a_budget_of_16_mib_gives_the_same_mesh_and_leaves_no_scratch_files() {
 fn a_full_scratch_folder_exits_with_4_and_leaves_no_files() {
     let folder = folder_with_splash();
     // A limit on the size of files simulates a full disk. With the small limit, particles cannot be
-    // spilled; with the large one, the mesh cannot be written.
+    // spilled. With the large limit, the mesh cannot be written.
     for kib in [64, 3600] {
         let limits = format!("trap '' XFSZ; ulimit -f {kib}");
         let run = in_shell(
@@ -249,7 +249,7 @@ fn a_full_scratch_folder_exits_with_4_and_leaves_no_files() {
 #[test]
 fn a_frame_that_is_mostly_surface_stays_within_the_budget() {
     let (folder, mut random) = (TempDir::new().unwrap(), Random::new(7));
-    // Spray in 5^3 blocks. With recovered details, every drop has a surface.
+    // Fill 5^3 blocks with spray, which has a large surface.
     let coordinates = (0..450_000).flat_map(|_| (160.0 * random.unit() as f32).to_le_bytes());
     fs::write(folder.path().join("spray.xyz"), coordinates.collect::<Vec<u8>>()).unwrap();
     let reconstruct = |arguments: &str| {

@@ -95,7 +95,7 @@ impl Frame {
         mesh
     }
 
-    /// Reconstructs the particles after they were moved by `place`.
+    /// Reconstructs the particles after moving each with `place`.
     fn moved(&self, what: &str, place: impl Fn(DVec3) -> DVec3) -> Mesh {
         self.of(&self.request, &arrays(self.particles.iter().map(|&p| place(p))), what)
     }
@@ -183,7 +183,7 @@ fn scaling_by_a_power_of_two_scales_each_vertex_exactly(frame: &Frame, random: &
     assert!(found.triangles == frame.mesh.triangles, "frame {} by {scale}", frame.seed);
 }
 
-fn two_distant_copies_have_the_mesh_of_each(frame: &Frame, random: &mut Random) {
+fn two_distant_copies_give_two_copies_of_the_mesh(frame: &Frame, random: &mut Random) {
     let mut away = DVec3::ZERO;
     away[(random.bits() % 3) as usize] = 3.0 * f64::from(BLOCK) * CELL;
     let both = frame.particles.iter().flat_map(|&p| [p - away, p + away]);
@@ -250,7 +250,7 @@ fn transforming_a_frame_transforms_its_mesh() {
             the_order_of_particles_does_not_change_the_mesh,
             a_mirrored_frame_has_the_mirrored_mesh,
             scaling_by_a_power_of_two_scales_each_vertex_exactly,
-            two_distant_copies_have_the_mesh_of_each,
+            two_distant_copies_give_two_copies_of_the_mesh,
             a_periodic_box_has_the_mesh_of_repeated_particles,
             threads_and_memory_do_not_change_the_mesh,
             finer_cells_enclose_about_the_same_volume,

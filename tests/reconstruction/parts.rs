@@ -245,7 +245,8 @@ fn settings_and_inputs_changed_since_the_plan_are_refused_by_name() {
     }
     // Threads and memory may differ from the plan.
     run(folder, &with(&["--part", "0", "--threads", "1", "--memory", "1GiB"]), 0);
-    // A run with the same settings keeps the plan. A different plan replaces it only on request.
+    // A second `--plan` with the same settings keeps the plan. A different plan replaces it only on
+    // request.
     assert!(run(folder, &with(&["--plan"]), 0).contains("already exists"));
     assert!(run(folder, &with(&["--plan", "--normals"]), 2).contains("--resume or --overwrite"));
     assert_eq!(fs::read(&plan).unwrap(), kept);
@@ -395,7 +396,7 @@ fn invalid_requests_for_parts_are_refused_and_leave_no_files() {
     ] {
         let errors = run(folder, &arguments, 2);
         assert!(errors.contains(message), "{arguments:?}: {errors}");
-        assert_eq!(names(folder), before, "{arguments:?} left something behind");
+        assert_eq!(names(folder), before, "{arguments:?} changed the folder");
     }
     // With an invalid input, the exit code must be the code for inputs, and not the code for
     // requests.
@@ -510,8 +511,8 @@ fn needed(normals: Normals) -> CellBox {
 
 #[test]
 fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
-    // In calm water, the widest Gaussian has the longest reach. Elsewhere, the inside test has the
-    // longest reach.
+    // With a smoothing of 3 spacings, the filters have the longest reach. With a smoothing of 1.6
+    // spacings, the inside test has the longest reach.
     for (spacing, smooth) in [(1.0, 3.0), (2.0, 3.0), (2.0, 1.6), (4.0, 1.6)] {
         let sampling =
             Sampling { method: IndicatorKind::Cloud.into(), spacing: Some(spacing), ..sampling() };
@@ -520,7 +521,8 @@ fn the_halo_of_the_cloud_recipe_is_exactly_the_reach_of_a_particle() {
             let surfacing =
                 Surfacing { smooth: Smooth::new(smooth).unwrap(), normals, ..surfacing() };
             let cells = needed(normals);
-            let seen = sampling.sight(IndicatorKind::Cloud, &surfacing, None).cells(IVec3::ZERO);
+            let seen =
+                sampling.deciding_cells(IndicatorKind::Cloud, &surfacing, None).cells(IVec3::ZERO);
             let outermost = if sides.start == 0 { seen.lo } else { seen.hi - 1 };
             let by = |plateau: u16| {
                 let surfacing = &surfacing;
@@ -571,7 +573,7 @@ fn the_halo_of_the_counting_recipe_is_exactly_the_reach_of_a_particle() {
         let sigma = Some(Sigma::new(sigma).unwrap());
         let plain = Surfacing { sigma, detail, normals, ..surfacing() };
         let cells = needed(normals);
-        let seen = sampling.sight(kind, &plain, None).cells(IVec3::ZERO);
+        let seen = sampling.deciding_cells(kind, &plain, None).cells(IVec3::ZERO);
         let calibration = |threshold: u16| {
             let iso = Isovalue::new((f64::from(threshold) + 0.5) / 65535.0).unwrap();
             Calibration::Indicator { mean: Some(one), iso }
@@ -634,8 +636,8 @@ fn carried_attributes_extend_the_cells_that_a_block_depends_on() {
     for kind in [IndicatorKind::Symmetry, IndicatorKind::Cloud] {
         let sampling = Sampling { method: kind.into(), spacing: Some(1.5), ..sampling() };
         let with = Sampling { carried: vec![0], ..sampling.clone() };
-        let [bare, carrying] =
-            [&sampling, &with].map(|s| s.sight(kind, &surfacing(), None).cells(IVec3::ZERO));
+        let [bare, carrying] = [&sampling, &with]
+            .map(|s| s.deciding_cells(kind, &surfacing(), None).cells(IVec3::ZERO));
         let halo = surfacing().attribute_smoothing(kind, sampling.spacing, &sampling.grid).halo();
         let attributes = CellBox { lo: IVec3::splat(-halo), hi: IVec3::splat(BLOCK + 1 + halo) };
         assert_eq!(carrying, bare.union(&attributes));
@@ -656,11 +658,13 @@ fn a_part_counts_only_the_wanted_particles() {
     for stretch in
         [Stretch { first, end: MortonKey(first.0 + 1) }, Stretch { first, ..Stretch::ALL }]
     {
-        let wanted =
-            WantedBins { stretch, sight: sampling.sight(IndicatorKind::Cloud, &surfacing, None) };
+        let wanted = WantedBins {
+            stretch,
+            deciding: sampling.deciding_cells(IndicatorKind::Cloud, &surfacing, None),
+        };
         let part = CountedFrame::of_wanted(&particles, &sampling, &surfacing, wanted).unwrap();
         let expected: Vec<_> =
-            all.iter().filter(|(bin, _)| wanted.hold(bin.coord())).copied().collect();
+            all.iter().filter(|(bin, _)| wanted.contains(bin.coord())).copied().collect();
         assert!(!expected.is_empty() && expected.len() < all.len());
         assert_eq!(part.bins().collect::<Vec<_>>(), expected);
     }

@@ -3,7 +3,8 @@
 //! numbers of threads, particle orders, budgets, brick sizes and devices, and after packing. If a
 //! frame gives an error instead, the error must always be the same.
 //!
-//! `MENISCUS_FRAMES=100000` tries 100000 frames, and `MENISCUS_FRAME=77` repeats number 77.
+//! `MENISCUS_FRAMES=100000` tries 100000 frames, `MENISCUS_FRAMES_FROM=1000` starts with number
+//! 1000, and `MENISCUS_FRAME=77` repeats number 77.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -25,14 +26,14 @@ use crate::common::{device, shuffle, watertight};
 
 /// Default number of frames to try.
 const FRAMES: u64 = 400;
-/// More than 1 / `SURFACE_RATIO` of the frames must have a surface.
-const SURFACE_RATIO: u64 = 2;
+/// More than 1 / `MIN_SURFACE_SHARE_DIVISOR` of the frames must have a surface.
+const MIN_SURFACE_SHARE_DIVISOR: u64 = 2;
 
 /// Particles with a velocity, and with an attribute that is NaN for some particles.
 struct Water {
     positions: Vec<[f64; 3]>,
-    /// Numbers that determine the particles' attributes. Because of these numbers, the attributes
-    /// do not depend on the order of the particles.
+    /// Numbers that determine the particles' attributes. Each number moves with its particle when
+    /// the particles are shuffled, so that a particle's attributes do not depend on the order.
     numbers: Vec<u32>,
     attributes: Vec<AttributeInfo>,
 }
@@ -203,7 +204,8 @@ impl Frame {
         let mut random = Random::new(self.seed.wrapping_add(1));
         let random = &mut random;
         let mut request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
-        // Set the spacing in most frames, because they are too unusual for an estimate.
+        // Set the spacing in most requests, because most frames are too unusual for an estimate of
+        // the spacing.
         if !one_in(random, 20) {
             request = request.spacing(self.spacing * pick(random, &[1.0, 1.0, 1.0, 0.8, 1.3]));
         }
@@ -245,7 +247,7 @@ impl Frame {
     }
 
     /// Adds random settings for the surface, which also apply to a packed frame.
-    fn drawing(&self, mut request: Reconstruction) -> Reconstruction {
+    fn with_surface_settings(&self, mut request: Reconstruction) -> Reconstruction {
         let mut random = Random::new(self.seed.wrapping_add(2));
         let random = &mut random;
         if one_in(random, 4) {
@@ -282,7 +284,7 @@ impl Frame {
         }
         let facts = &surface.report().facts;
         let mut wrong = watertight::defect(mesh);
-        let volume: f64 = mesh
+        let six_volumes: f64 = mesh
             .triangles
             .iter()
             .map(|t| {
@@ -291,8 +293,8 @@ impl Frame {
             })
             .sum();
         // Because of rounding, the volume may be slightly negative.
-        if volume.is_nan() || volume < -1e-6 * self.spacing.powi(3) {
-            wrong = wrong.or(Some(format!("six times its volume is {volume}")));
+        if six_volumes.is_nan() || six_volumes < -1e-6 * self.spacing.powi(3) {
+            wrong = wrong.or(Some(format!("six times its volume is {six_volumes}")));
         }
         let unit = |n: &[f32; 3]| (DVec3::from(n.map(f64::from)).length() - 1.0).abs() < 1e-3;
         if mesh.normals.as_ref().is_some_and(|normals| {
@@ -372,7 +374,7 @@ fn assert_same(found: &Result<Mesh, String>, expected: &Result<Mesh, String>, wh
 /// surface.
 fn try_frame(seed: u64) -> bool {
     let frame = Frame::new(seed);
-    let request = frame.drawing(frame.sampling());
+    let request = frame.with_surface_settings(frame.sampling());
     let surface = request.run(&frame.water);
     if let Err(error) = &surface {
         let message = error.to_string();
@@ -432,11 +434,12 @@ fn try_frame(seed: u64) -> bool {
 fn packed(frame: &Frame) -> Result<Mesh, String> {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("a.mnf");
-    let request = frame.drawing(frame.sampling());
+    let request = frame.with_surface_settings(frame.sampling());
     // Packed frames have no attributes, so take the attributes from the sampled frame.
     let sampled = request.sample(&frame.water).map_err(|error| error.to_string())?;
     sampled.pack(request.packed_output(&path, Replace::Refuse).unwrap()).unwrap();
-    let mut mesh = outcome(frame.drawing(Reconstruction::new().threads(1)).run_file(&path))?;
+    let mut mesh =
+        outcome(frame.with_surface_settings(Reconstruction::new().threads(1)).run_file(&path))?;
     mesh.attributes = outcome(sampled.surface())?.attributes;
     Ok(mesh)
 }
@@ -501,7 +504,7 @@ fn random_frames_are_watertight_or_refused_and_always_reproducible() {
         begun.elapsed().as_secs_f64()
     );
     assert!(
-        with_surface > frames / SURFACE_RATIO,
+        with_surface > frames / MIN_SURFACE_SHARE_DIVISOR,
         "only {with_surface} of {frames} have a surface"
     );
 }

@@ -50,7 +50,7 @@ pub fn film(layers: u32, stretch: f64, random: &mut Random) -> Vec<[f64; 3]> {
     particles
 }
 
-/// The layers of films, and the factors by which they are stretched.
+/// For each film, the number of layers and the factor by which it is stretched.
 pub const FILMS: [(u32, f64); 6] = [(1, 1.0), (1, 1.2), (1, 1.4), (1, 1.6), (2, 1.0), (2, 1.4)];
 
 /// Checks that the surface of a film is a single piece without holes, and that the ratio of its
@@ -171,7 +171,7 @@ fn splash(stretch: f64) -> Vec<[f64; 3]> {
 }
 
 #[test]
-fn sheets_and_filaments_that_stand_on_water_hold_down_to_the_water() {
+fn sheets_and_filaments_on_water_stay_connected_to_the_water() {
     for (stretch, cell) in [(1.0, 0.5), (1.3, 0.5), (1.3, 0.25), (1.6, 0.5), (1.6, 0.25)] {
         let particles = splash(stretch);
         let found = measured(&particles, cell, 2.15);
@@ -182,7 +182,7 @@ fn sheets_and_filaments_that_stand_on_water_hold_down_to_the_water() {
 }
 
 #[test]
-fn films_on_a_floor_hold_wherever_the_floor_lies_in_the_cells() {
+fn films_on_a_floor_stay_whole_at_any_floor_height_within_a_cell() {
     for (layers, stretch) in FILMS {
         for (cell, floor) in [(0.5, 0.0), (0.5, 0.37), (0.5, 0.75), (0.25, 0.0), (0.25, 0.25)] {
             let raised = |[x, y, z]: [f64; 3]| [x, y + floor, z];

@@ -157,7 +157,7 @@ fn a_lone_particle_of_any_size_keeps_about_its_volume() {
 }
 
 #[test]
-fn a_sheet_of_several_sizes_is_as_thick_as_its_particles_fill_it() {
+fn a_sheet_of_several_sizes_has_about_the_volume_of_its_particles() {
     let mut random = Random::new(29);
     let mut sheet = Sized::default();
     let mut x: f64 = 0.0;
@@ -251,7 +251,7 @@ fn attributes_at_walls_of_coarse_water_come_from_nearby_particles() {
     let height: Vec<f32> = water.positions.iter().map(|[.., z]| *z as f32).collect();
     let cloud = Cloud::new(&water.positions).with("radius", &radii).with("height", &height);
     let open = f64::INFINITY;
-    // The floor is at a face of the coarse water's wide cells, or at other places in them.
+    // The floor is at a face of the coarse water's wide cells, or between two such faces.
     for floor in [0.0, -0.3, -0.6, -1.1, -1.6] {
         let request = request().attributes(["height"]).domain([-open, -open, floor], [open; 3]);
         let mesh = request.run(&cloud).unwrap().to_mesh().unwrap();
@@ -629,7 +629,10 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
         let plan = parts.plan().unwrap();
         // Compare with the largest part, because periodic images also count as particles.
         let all = plan.parts.iter().map(|share| share.kept).max().unwrap();
-        assert!(plan.parts.iter().any(|share| share.kept < all), "each part samples everything");
+        assert!(
+            plan.parts.iter().any(|share| share.kept < all),
+            "all parts keep the same number of particles"
+        );
         (0..5).for_each(|part| drop(parts.part(part).unwrap()));
         assert!(parts.merge().unwrap().to_mesh().unwrap() == whole);
         std::fs::remove_dir_all(parts.folder()).unwrap();
@@ -644,7 +647,8 @@ fn mean_and_rms(errors: &[f64]) -> [f64; 2] {
     [errors.iter().sum::<f64>() / count, (squares / count).sqrt()]
 }
 
-/// A lake of coarse particles that contains a pool of fine particles, and drops above.
+/// A lake of coarse particles that contains a pool of fine particles, and a drop of coarse
+/// particles above it.
 fn lake(ratio: f64, random: &mut Random) -> Sized {
     let edge = 80.0 * ratio;
     let mut water = Sized::default().with([[0.0; 3], [edge, edge, 8.0 * ratio]], ratio, random);
@@ -661,7 +665,7 @@ fn lake(ratio: f64, random: &mut Random) -> Sized {
 }
 
 #[test]
-fn cells_follow_the_sizes_and_meet_without_gaps() {
+fn cells_follow_particle_sizes_and_the_mesh_has_no_gaps() {
     for (ratio, cell) in [(2.0, 0.5), (4.0, 0.667), (2.9, 0.4)] {
         let water = lake(ratio, &mut Random::new(21));
         // These walls are not on cell faces.
@@ -671,8 +675,8 @@ fn cells_follow_the_sizes_and_meet_without_gaps() {
             assert_eq!(watertight::defect(&mesh), None, "ratio {ratio}, cells of {cell}");
             let found = measure(&mesh);
             assert_eq!(found.components, 2);
-            // If all cells were as small as the finest, the mesh of both sides of the lake would
-            // have more triangles than `finest`.
+            // If all cells were as small as the finest, the mesh of the top and the bottom of the
+            // lake would have more triangles than `finest`.
             let finest = 4.0 * (75.0 * ratio / cell).powi(2);
             assert!((mesh.triangles.len() as f64) < 0.6 * finest, "{}", mesh.triangles.len());
             // Normals must point to the outer side of the triangles, even at seams.

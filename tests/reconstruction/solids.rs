@@ -94,7 +94,7 @@ fn request(cell: f64) -> Reconstruction {
     request.domain([0.0; 3], [SIZE, f64::INFINITY, SIZE])
 }
 
-fn at(request: Reconstruction, solid: &Path) -> Reconstruction {
+fn touching(request: Reconstruction, solid: &Path) -> Reconstruction {
     request.solids([solid.to_str().unwrap()]).solid_offset(0.0)
 }
 
@@ -116,7 +116,7 @@ fn water_ends_at_solids_and_keeps_its_level_up_to_them() {
         for (jitter, cell) in [(0.3, 0.25), (0.3, 0.5), (0.5, 0.5)] {
             let what = format!("{name}, jitter {jitter}, cells of {cell}");
             let water = pool(jitter, distance);
-            let surface = at(request(cell), &solid).run(&water[..]).unwrap();
+            let surface = touching(request(cell), &solid).run(&water[..]).unwrap();
             let mesh = surface.to_mesh().unwrap();
             assert_eq!(watertight::defect(&mesh), None, "{what}");
             let inner = |p: &DVec3| {
@@ -144,7 +144,7 @@ fn water_ends_at_solids_and_keeps_its_level_up_to_them() {
 }
 
 #[test]
-fn films_on_solids_hold_and_keep_their_volume() {
+fn films_on_solids_stay_whole_and_keep_their_volume() {
     let folder = TempDir::new().unwrap();
     let mut plate = cuboid([-20.0, -6.0, -20.0], [20.0, 0.0, 20.0]);
     for position in &mut plate.positions {
@@ -174,13 +174,13 @@ fn solids_are_independent_of_threads_and_memory_and_act_only_nearby() {
     let solid = written(&folder, "ball.obj", &ball());
     let water = pool(0.5, from_ball);
     let bytes = |request: Reconstruction| bytes_of(&request.run(&water[..]).unwrap());
-    let expected = bytes(at(request(0.5), &solid).threads(1).normals(true));
-    assert_eq!(bytes(at(request(0.5), &solid).threads(3).normals(true)), expected);
+    let expected = bytes(touching(request(0.5), &solid).threads(1).normals(true));
+    assert_eq!(bytes(touching(request(0.5), &solid).threads(3).normals(true)), expected);
     let small_budget =
-        at(request(0.5), &solid).threads(1).normals(true).memory(MemoryBudget(40 << 20));
+        touching(request(0.5), &solid).threads(1).normals(true).memory(MemoryBudget(40 << 20));
     assert_eq!(bytes(small_budget), expected);
     let far = written(&folder, "far.obj", &moved(&ball(), [200.0, 0.0, 0.0]));
-    assert_eq!(bytes(at(request(0.5), &far)), bytes(request(0.5)));
+    assert_eq!(bytes(touching(request(0.5), &far)), bytes(request(0.5)));
 }
 
 #[test]
@@ -195,8 +195,9 @@ fn a_device_makes_the_same_mesh_with_solids_as_the_cpu() {
     let solid = written(&folder, "ball.obj", &moved(&sphere(2.0, 3), corner.to_array()));
     let water = pool(0.5, |at| at.distance(corner) - 2.0);
     let run = |request: Reconstruction| request.run(&water[..]).unwrap();
-    let expected = run(at(request(0.25), &solid));
-    let made = run(at(request(0.25), &solid).backend(Backend::of(Vulkan::new(device).unwrap())));
+    let expected = run(touching(request(0.25), &solid));
+    let made =
+        run(touching(request(0.25), &solid).backend(Backend::of(Vulkan::new(device).unwrap())));
     assert_eq!(bytes_of(&made), bytes_of(&expected));
     let by_device = made.report().on_device.regions;
     assert!(by_device > 0, "{by_device} regions");
@@ -269,20 +270,23 @@ fn in_a_periodic_box_solids_repeat_as_the_fluid_does() {
             expected.len()
         );
     }
-    // Also test a solid from a file, and the mesh at the faces that the ball does not reach.
+    // Also test a solid from a file. Check the mesh at the upper faces, which only a periodic image
+    // of the ball reaches.
     let file = written(&folder, "ball.obj", &solid);
-    let request = at(Reconstruction::new().spacing(1.0).cell_size(0.5).periodic(faces), &file);
+    let request =
+        touching(Reconstruction::new().spacing(1.0).cell_size(0.5).periodic(faces), &file);
     let mesh = request.run(&water[..]).unwrap().to_mesh().unwrap();
     assert_eq!(watertight::defect(&mesh), None);
-    let behind =
+    let at_upper_faces =
         |p: &&[f64; 3]| p[0] > edge - 9.0 && p[2] > edge - 9.0 && (0.5..5.0).contains(&p[1]);
-    let behind = mesh.positions.iter().filter(behind).map(|&p| from_solid(DVec3::from(p)));
-    let on = behind.filter(|distance| distance.abs() < 0.2).count();
+    let at_upper_faces =
+        mesh.positions.iter().filter(at_upper_faces).map(|&p| from_solid(DVec3::from(p)));
+    let on = at_upper_faces.filter(|distance| distance.abs() < 0.2).count();
     assert!(on > 50, "only {on} vertices are at the solid");
 }
 
 #[test]
-fn forecasts_contain_the_memory_of_solids() {
+fn memory_estimates_include_solids() {
     let folder = TempDir::new().unwrap();
     let (ball, input) = (ball(), folder.path().join("pool.xyz"));
     fs::write(&input, raw(&pool(0.3, from_ball))).unwrap();
@@ -291,7 +295,7 @@ fn forecasts_contain_the_memory_of_solids() {
     let needs = |request: Reconstruction| {
         request.memory(budget).open(&input).unwrap().needs(MeshFormat::Ply).unwrap().unwrap()
     };
-    let (plain, with_solid) = (needs(request(0.5)), needs(at(request(0.5), &solid)));
+    let (plain, with_solid) = (needs(request(0.5)), needs(touching(request(0.5), &solid)));
     let least = 300 * ball.triangles.len() as u64;
     assert!(
         with_solid.memory >= plain.memory + least && with_solid.in_core >= plain.in_core + least
@@ -300,13 +304,14 @@ fn forecasts_contain_the_memory_of_solids() {
 }
 
 #[test]
-fn the_memory_limit_that_an_error_about_solids_asks_for_suffices() {
+fn the_memory_limit_in_a_solid_error_suffices() {
     let folder = TempDir::new().unwrap();
     let solid = written(&folder, "ball.obj", &moved(&sphere(RADIUS, 6), CENTRE.to_array()));
     let water = pool(0.3, from_ball);
-    let run = |bytes: u64| at(request(0.5), &solid).memory(MemoryBudget(bytes)).run(&water);
-    // The first error estimates the memory from the size of the solid's file. The second error
-    // gives the memory that the solid needs after the library has read the file.
+    let run = |bytes: u64| touching(request(0.5), &solid).memory(MemoryBudget(bytes)).run(&water);
+    // The first error gives the memory that the library estimates from the size of the solid's
+    // file. The second error gives the memory of the solid itself, which the library computes after
+    // it has read the file.
     let mut budget = 17 << 20;
     for _ in 0..2 {
         let Err(Error::LittleMemory { least, .. }) = run(budget) else {
@@ -325,7 +330,7 @@ fn a_solid_wall_divides_water_and_a_too_thin_wall_causes_a_warning() {
     let water = pool(0.3, |_| 1.0);
     let divided = |name: &str, half: f64, offset: f64| {
         let solid = written(&folder, name, &wall(half));
-        at(request(0.5), &solid).solid_offset(offset).run(&water[..]).unwrap()
+        touching(request(0.5), &solid).solid_offset(offset).run(&water[..]).unwrap()
     };
     let is_thin = |warning: &Warning| matches!(warning, Warning::ThinSolid { .. });
     let surface = divided("wall.obj", 0.3, 0.0);
@@ -347,9 +352,9 @@ fn solid_offset_moves_the_contact_surface_and_inverted_solids_are_flipped() {
     let solids = [written(&folder, "out.obj", &ball()), written(&folder, "in.obj", &inwards)];
     let water = pool(0.3, from_ball);
     for offset in [-0.3, 0.5] {
-        let [outwards, inwards] = solids
-            .each_ref()
-            .map(|solid| at(request(0.5), solid).solid_offset(offset).run(&water[..]).unwrap());
+        let [outwards, inwards] = solids.each_ref().map(|solid| {
+            touching(request(0.5), solid).solid_offset(offset).run(&water[..]).unwrap()
+        });
         assert_eq!(bytes_of(&outwards), bytes_of(&inwards));
         let is_inverted = |warning: &Warning| *warning == Warning::InvertedSolid(solids[1].clone());
         let warns = |warnings: &[Warning]| warnings.iter().any(is_inverted);

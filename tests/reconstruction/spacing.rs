@@ -68,9 +68,9 @@ fn volume(surface: &Surface) -> f64 {
 #[test]
 fn a_wrong_spacing_causes_a_warning_that_names_the_likely_mistake() {
     let ball = ball();
-    for sound in [0.85, 0.9, 1.0, 1.1, 1.2] {
-        let surface = Reconstruction::new().spacing(sound * SPACING).run(&ball).unwrap();
-        assert_eq!(cells(&surface).warnings, [], "{sound}");
+    for plausible in [0.85, 0.9, 1.0, 1.1, 1.2] {
+        let surface = Reconstruction::new().spacing(plausible * SPACING).run(&ball).unwrap();
+        assert_eq!(cells(&surface).warnings, [], "{plausible}");
     }
     for (wrong, mistake) in [
         (0.1, Some(SpacingMistake::Unit(0.1))),

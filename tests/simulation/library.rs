@@ -150,7 +150,7 @@ fn converted_while_changed(
     change: fn(Simulation) -> Simulation,
     is_time: fn(&Event) -> bool,
 ) -> [BTreeMap<String, Vec<u8>>; 2] {
-    let (folder, still) = (simulated(4), simulated(4));
+    let (folder, unchanged) = (simulated(4), simulated(4));
     let first = folder.path().join("sim/drop_1.xyz");
     // At first, frame 1 has a different spacing and position.
     let early: Vec<[f32; 3]> = falling(7).iter().map(|p| p.map(|x| 1.3 * x)).collect();
@@ -169,8 +169,12 @@ fn converted_while_changed(
     let summaries = change(by(folder.path())).run(on_event).unwrap();
     assert!(summaries.iter().all(Summary::is_complete), "{summaries:?}");
     assert_eq!((is_early, measured), (false, 2));
-    by(still.path()).run(|_| ()).unwrap().iter().for_each(|summary| assert!(summary.is_complete()));
-    [folder, still].map(|folder| {
+    by(unchanged.path())
+        .run(|_| ())
+        .unwrap()
+        .iter()
+        .for_each(|summary| assert!(summary.is_complete()));
+    [folder, unchanged].map(|folder| {
         let mut files = tree(&folder.path().join("mesh"));
         // Ignore the state and the records, which contain the times of the inputs.
         files.retain(|name, _| !name.contains(".meniscus"));
@@ -180,20 +184,20 @@ fn converted_while_changed(
 
 #[test]
 fn changing_the_calibration_frame_recalibrates_every_frame() {
-    let [files, still] =
+    let [files, unchanged] =
         converted_while_changed(|all| all, |event| matches!(event, Event::Measured { .. }));
-    assert!(files == still, "{:?}", files.keys());
+    assert!(files == unchanged, "{:?}", files.keys());
 }
 
 #[test]
 fn a_watched_calibration_frame_that_grows_recalibrates_every_frame() {
     let is_last = |event: &Event| matches!(event, Event::Done(done) if done.progress.done == 4);
-    let [files, still] = converted_while_changed(|all| all.watch(3.0), is_last);
-    assert!(files == still, "{:?}", files.keys());
+    let [files, unchanged] = converted_while_changed(|all| all.watch(3.0), is_last);
+    assert!(files == unchanged, "{:?}", files.keys());
 }
 
 #[test]
-fn a_conversion_of_all_frames_again_measures_the_calibration_again() {
+fn overwriting_all_frames_measures_the_calibration_again() {
     let folder = TempDir::new().unwrap();
     fs::create_dir(folder.path().join("sim")).unwrap();
     let put = |frame: u64, particles: &[[f32; 3]]| {
@@ -303,8 +307,8 @@ fn a_cancelled_conversion_keeps_finished_frames_and_can_be_resumed() {
             skipped = done;
         }
     };
-    let gone_on = again.run(on_event).unwrap();
-    assert!(skipped == done && gone_on[0].is_complete(), "{skipped} of {done}: {gone_on:?}");
+    let resumed = again.run(on_event).unwrap();
+    assert!(skipped == done && resumed[0].is_complete(), "{skipped} of {done}: {resumed:?}");
     let whole = simulation(folder.path(), "whole").reconstruction(request).run(|_| {}).unwrap();
     assert!(whole[0].is_complete(), "{whole:?}");
     assert!(meshes("mesh", folder.path()) == meshes("whole", folder.path()));

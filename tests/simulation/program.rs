@@ -98,7 +98,7 @@ fn resuming_remakes_only_frames_that_are_damaged_unrecorded_or_changed() {
     let errors = run(folder.path(), &with(&["--resume"]), 0);
     assert!(errors.contains("4 of 8 frames are already finished"), "{errors}");
     fs::remove_file(out.join(".meniscus-alive.tmp"))
-        .expect("--resume keeps the temporary file of another process");
+        .expect("--resume must keep the temporary file of a running process");
     assert!(tree(&out) == whole);
     let remade: Vec<_> = (0..8).filter(|&i| times()[i] != before[i]).map(|i| i + 1).collect();
     assert_eq!(remade, [2, 3, 4, 5]);
@@ -315,7 +315,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
     ] {
         let errors = run(folder.path(), &arguments, code);
         assert!(errors.contains(message), "{arguments:?}: {errors}");
-        assert!(tree(folder.path()) == before, "{arguments:?} left something");
+        assert!(tree(folder.path()) == before, "{arguments:?} changed the folder");
     }
     fs::create_dir(folder.path().join("out")).unwrap();
     fs::write(folder.path().join("out/m_2.ply"), "precious").unwrap();
@@ -780,7 +780,7 @@ fn the_plateau_is_measured_on_the_first_frame_with_an_interior() {
 }
 
 #[test]
-fn watch_says_that_it_waits_for_a_frame_with_deeper_fluid() {
+fn watch_reports_that_it_waits_for_a_frame_with_deeper_fluid() {
     let folder = TempDir::new().unwrap();
     let spray = [[0.0; 3], [3.0, 0.0, 0.0], [0.0, 3.0, 0.0]];
     fs::write(folder.path().join("f_1.xyz"), raw(&spray)).unwrap();
@@ -993,7 +993,7 @@ fn empty_vtk_frames_need_no_attributes_and_get_those_of_other_frames() {
 }
 
 #[test]
-fn a_frame_that_the_frozen_isovalue_nearly_empties_causes_a_warning() {
+fn a_frame_that_the_shared_isovalue_nearly_empties_causes_a_warning() {
     let folder = TempDir::new().unwrap();
     // The first frame, on which the calibration is measured, is four times as dense as the second.
     let dense = fill(10.0, 2.0, 0.3, 1, |p| p.length() < 6.0);
@@ -1125,10 +1125,10 @@ fn level(mesh: &Mesh, up: DVec3) -> f64 {
     let (mut area, mut sum) = (0.0, 0.0);
     for triangle in &mesh.triangles {
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
-        let seen = (b - a).cross(c - a).dot(up);
-        if seen > 0.0 {
-            area += seen;
-            sum += seen * (a + b + c).dot(up) / 3.0;
+        let facing = (b - a).cross(c - a).dot(up);
+        if facing > 0.0 {
+            area += facing;
+            sum += facing * (a + b + c).dot(up) / 3.0;
         }
     }
     sum / area
@@ -1799,8 +1799,8 @@ fn a_colour_keeps_its_scale_when_it_fades_to_or_from_black() {
             assert!(!values.is_empty() && values.iter().all(is_equal), "{colour}: {:?}", values[0]);
         }
     }
-    // If one frame has colours from 0 to 255 and the other frames from 0 to 1, only this frame
-    // fails.
+    // If one frame has colours from 0 to 255 and all other frames have colours from 0 to 1, only
+    // this frame fails.
     coloured(&folder.path().join("f_4.ply"), 4, 200.0);
     for frame in 1..4 {
         coloured(&folder.path().join(format!("f_{frame}.ply")), frame, 0.5);
@@ -1905,12 +1905,12 @@ fn an_attribute_has_the_same_type_in_all_frames() {
         let stage = fs::read_to_string(folder.path().join("u.usda")).unwrap();
         assert!(stage.contains("float[] primvars:temp") && !stage.contains("int[] primvars:temp"));
     }
-    // Integers that one frame stores as floating-point numbers.
+    // Integers that one frame stores as floating-point numbers become integers again.
     (1..=3).for_each(|frame| write(frame, "int", "#"));
     write(2, "float", "#");
     run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 0);
     assert_eq!(made(2).0, AttributeKind::Signed);
-    // Values and types that cannot be converted.
+    // Values and types that cannot be converted give an error.
     write(2, "float", "#.5");
     let errors = run(folder.path(), &[&all("m_{}.ply")[..], &["--overwrite"]].concat(), 1);
     assert!(errors.contains("f_2.ply") && errors.contains("value 0.5"), "{errors}");

@@ -2,7 +2,8 @@
 //! appear, grow and are rewritten, and outputs are damaged. A final run with `--resume` must give
 //! exactly the files of a single run with the same state.
 //!
-//! `MENISCUS_SEQUENCES=500` tries 500 sequences, and `MENISCUS_SEQUENCE=77` repeats number 77.
+//! `MENISCUS_SEQUENCES=500` tries 500 sequences, `MENISCUS_SEQUENCES_FROM=1000` starts with number
+//! 1000, and `MENISCUS_SEQUENCE=77` repeats number 77.
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;

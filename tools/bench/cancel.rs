@@ -13,18 +13,18 @@ use meniscus::files::Replace;
 use meniscus::{Cancel, Cause, Error, Progress, Reconstruction, Stage};
 
 /// A progress report: its time, its stage, and the finished fraction of the stage.
-type Heard = (Instant, Stage, f64);
+type TimedReport = (Instant, Stage, f64);
 
-/// Reconstructs and writes a frame, and adds every progress report to `heard`.
+/// Reconstructs and writes a frame, and adds every progress report to `reports`.
 fn run(
     input: &Path,
     output: &Path,
     cancel: &Cancel,
-    heard: &Arc<Mutex<Vec<Heard>>>,
+    reports: &Arc<Mutex<Vec<TimedReport>>>,
 ) -> Result<(), Error> {
-    let heard = Arc::clone(heard);
+    let reports = Arc::clone(reports);
     let note = move |Progress { stage, done, .. }: Progress| {
-        heard.lock().expect("no thread panics").push((Instant::now(), stage, done));
+        reports.lock().expect("no thread panics").push((Instant::now(), stage, done));
     };
     let request = Reconstruction::new().simplify(0.25).cancel(cancel.clone()).progress(note);
     let prepared = request.output(output, Replace::Refuse)?;
@@ -39,31 +39,31 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let runs: u32 = runs.first().map_or(Ok(60), |runs| runs.parse())?;
     let (input, output) = (Path::new(input), Path::new(output));
 
-    let heard = Arc::default();
+    let reports = Arc::default();
     let start = Instant::now();
-    run(input, output, &Cancel::new(), &heard)?;
+    run(input, output, &Cancel::new(), &reports)?;
     let whole = start.elapsed();
     std::fs::remove_file(output)?;
     println!("whole: {:.2} s", whole.as_secs_f64());
     // For each stage, the longest time between one of its reports and the next report, and the sum
     // of these times.
-    let mut still: Vec<(Stage, Duration, Duration)> = Vec::new();
-    let heard = std::mem::take(&mut *heard.lock().expect("no thread panics"));
-    for (at, &(since, stage, _)) in heard.iter().enumerate() {
-        let gap = heard.get(at + 1).map_or(start + whole, |next| next.0) - since;
-        match still.iter_mut().find(|(other, ..)| *other == stage) {
+    let mut gaps: Vec<(Stage, Duration, Duration)> = Vec::new();
+    let reports = std::mem::take(&mut *reports.lock().expect("no thread panics"));
+    for (at, &(since, stage, _)) in reports.iter().enumerate() {
+        let gap = reports.get(at + 1).map_or(start + whole, |next| next.0) - since;
+        match gaps.iter_mut().find(|(other, ..)| *other == stage) {
             Some((_, longest, all)) => (*longest, *all) = (gap.max(*longest), *all + gap),
-            None => still.push((stage, gap, gap)),
+            None => gaps.push((stage, gap, gap)),
         }
     }
 
     let mut slowest: Vec<(Stage, Duration, f64)> = Vec::new();
     for run_number in 0..runs {
         let after = whole.mul_f64((f64::from(run_number) + 0.5) / f64::from(runs));
-        let (cancel, heard) = (Cancel::new(), Arc::default());
+        let (cancel, reports) = (Cancel::new(), Arc::default());
         let cancelled = Mutex::new(None);
         let result = std::thread::scope(|scope| {
-            let work = scope.spawn(|| run(input, output, &cancel, &heard).map_err(|e| e.cause()));
+            let work = scope.spawn(|| run(input, output, &cancel, &reports).map_err(|e| e.cause()));
             std::thread::sleep(after);
             *cancelled.lock().expect("no thread panics") = Some(Instant::now());
             cancel.cancel();
@@ -76,8 +76,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Err(other) => return Err(format!("the frame failed: {other:?}").into()),
             Ok(()) => std::fs::remove_file(output)?,
         }
-        let heard = heard.lock().expect("no thread panics");
-        let Some(&(_, stage, done)) = heard.iter().rfind(|(at, ..)| *at <= since) else { continue };
+        let reports = reports.lock().expect("no thread panics");
+        let Some(&(_, stage, done)) = reports.iter().rfind(|(at, ..)| *at <= since) else {
+            continue;
+        };
         match slowest.iter_mut().find(|(other, ..)| *other == stage) {
             Some(slowest) if slowest.1 >= took => {}
             Some(slowest) => *slowest = (stage, took, done),
@@ -85,7 +87,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         }
     }
     println!("{:12} {:>9} {:>14} {:>22}", "stage", "seconds", "longest gap", "slowest cancel, at");
-    for (stage, longest, all) in still {
+    for (stage, longest, all) in gaps {
         let cancel = slowest.iter().find(|(other, ..)| *other == stage);
         let cancel = cancel.map_or("not hit".to_owned(), |(_, took, done)| {
             format!("{:.3} s, {:.0} %", took.as_secs_f64(), 100.0 * done)

@@ -11,7 +11,7 @@ use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::methods::{Method, grid};
-use crate::sample::{Lattice, fill, place};
+use crate::sample::{Lattice, fill, unit_cube_point};
 use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, mean_and_worst, percent, signed, worst};
 use crate::{Options, Outcome};
@@ -55,11 +55,11 @@ impl Errors {
     pub fn of(solid: &Solid, mesh: &Mesh) -> Outcome<Self> {
         let found = compare(&solid.mesh, mesh)?;
         let volume = measure(mesh).volume.ok_or("a surface is not closed")?;
-        let (there, back) = (&found.from_mesh, &found.from_reference);
+        let (to_truth, from_truth) = (&found.from_mesh, &found.from_reference);
         Ok(Self {
             hausdorff: found.hausdorff,
-            mean: (there.mean + back.mean) / 2.0,
-            rms: ((there.rms.powi(2) + back.rms.powi(2)) / 2.0).sqrt(),
+            mean: (to_truth.mean + from_truth.mean) / 2.0,
+            rms: ((to_truth.rms.powi(2) + from_truth.rms.powi(2)) / 2.0).sqrt(),
             bias: found.bias,
             volume: volume / solid.volume - 1.0,
         })
@@ -67,9 +67,9 @@ impl Errors {
 }
 
 /// Lattices without rotation, at several positions within a cell.
-pub fn places(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
+pub fn shifted_lattices(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     let at = |n: usize| Lattice {
-        shift: cell * place(n),
+        shift: cell * unit_cube_point(n),
         turn: DQuat::IDENTITY,
         jitter,
         inset: options.inset,
@@ -78,12 +78,13 @@ pub fn places(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     (0..options.choose(8, 1)).map(at).collect()
 }
 
-pub fn turns(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
+/// Rotated lattices, at several positions within a cell.
+pub fn rotated_lattices(options: &Options, cell: f64, jitter: f64) -> Vec<Lattice> {
     let axes =
         [(DVec3::new(1.0, 2.0, 3.0), 0.4), (DVec3::X, 0.785), (DVec3::new(3.0, -1.0, 2.0), 1.1)];
-    let turned = axes.map(|(axis, angle)| DQuat::from_axis_angle(axis.normalize(), angle));
-    let straight = places(options, cell, jitter);
-    turned.iter().zip(straight).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
+    let rotations = axes.map(|(axis, angle)| DQuat::from_axis_angle(axis.normalize(), angle));
+    let shifted = shifted_lattices(options, cell, jitter);
+    rotations.iter().zip(shifted).map(|(&turn, lattice)| Lattice { turn, ..lattice }).collect()
 }
 
 /// The errors of a method on each lattice. Returns `None` if the method finds no surface for one of
@@ -138,7 +139,10 @@ pub fn run(options: &Options) -> Outcome<()> {
             let mut tables = [(); 2].map(|()| Table::new(&HEAD));
             for (c, cell) in cells(options).iter().copied().enumerate() {
                 for (m, method) in methods.iter().enumerate() {
-                    let lattices = [places(options, cell, jitter), turns(options, cell, jitter)];
+                    let lattices = [
+                        shifted_lattices(options, cell, jitter),
+                        rotated_lattices(options, cell, jitter),
+                    ];
                     for (table, lattices) in tables.iter_mut().zip(lattices) {
                         let found = errors(solid, method, cell, &lattices)?;
                         let about = [figure(cell), method.name()];
@@ -152,9 +156,9 @@ pub fn run(options: &Options) -> Outcome<()> {
                 "{} of {} particles, {sampling}: distances in spacings, mean (worst)",
                 solid.name, solid.volume
             );
-            let [by_place, by_turn] = tables;
-            by_place.print(&format!("{what} over positions of the lattice in a cell"));
-            by_turn.print(&format!("{what} over rotations of the lattice"));
+            let [by_position, by_rotation] = tables;
+            by_position.print(&format!("{what} over positions of the lattice in a cell"));
+            by_rotation.print(&format!("{what} over rotations of the lattice"));
         }
     }
     summary(options, methods, &all);
@@ -202,7 +206,7 @@ mod tests {
     use crate::meshes::sphere;
 
     #[test]
-    fn a_ball_that_is_too_large_lies_outside_by_so_much_and_holds_so_much_more() {
+    fn errors_of_an_enlarged_ball_match_the_enlargement() {
         let ball = Solid::new("ball", sphere(1.0, 5), 10_000).unwrap();
         let radius = ball.depth(ball.centre);
         let mut larger = ball.mesh.clone();

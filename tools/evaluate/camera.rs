@@ -71,7 +71,7 @@ mod tests {
     use crate::meshes::sphere;
 
     #[test]
-    fn a_ball_fills_the_share_of_the_picture_that_it_should() {
+    fn a_ball_fills_the_expected_share_of_the_picture() {
         let camera = Camera { centre: DVec3::ONE, radius: 2.0 };
         let mut ball = sphere(1.0, 5);
         ball.positions.iter_mut().for_each(|p| *p = p.map(|x| x + 1.0));
@@ -79,7 +79,8 @@ mod tests {
             [ball, Mesh::default()].map(|mesh| camera.picture(&mesh, [200, 200]).unwrap());
         let differ =
             image.rgb().chunks(3).zip(nothing.rgb().chunks(3)).filter(|(a, b)| a != b).count();
-        // The camera is far enough for the ball's radius to be a quarter of the picture's height.
+        // The ball's radius is half of the camera's, so the ball fills half of the picture's
+        // height.
         let expected = std::f64::consts::PI * 50.0 * 50.0;
         assert!((differ as f64 / expected - 1.0).abs() < 0.05, "{differ} pixels, not {expected}");
     }

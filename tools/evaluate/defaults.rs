@@ -6,9 +6,9 @@ use meniscus::internals::field::calibration::FINEST_OF_SYMMETRY;
 use meniscus::internals::frame::Normals;
 use meniscus::internals::system::timings::Timings;
 
-use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, places, turns};
-use crate::methods::{Iso, Method, grid, held};
-use crate::roughness::pool;
+use crate::accuracy::{CELLS, Errors, SAMPLINGS, errors, rotated_lattices, shifted_lattices};
+use crate::methods::{Iso, Method, grid, volume_ratio};
+use crate::roughness::pool_deviation;
 use crate::scene::splash;
 use crate::shapes::solids;
 use crate::tables::{Table, figure, mean, signed, worst};
@@ -46,8 +46,11 @@ pub fn run(options: &Options) -> Outcome<()> {
                 let mut found: [Vec<Errors>; 2] = Default::default();
                 for solid in &solids {
                     for (found, (_, jitter)) in found.iter_mut().zip(SAMPLINGS) {
-                        let lattices =
-                            [places(options, cell, jitter), turns(options, cell, jitter)].concat();
+                        let lattices = [
+                            shifted_lattices(options, cell, jitter),
+                            rotated_lattices(options, cell, jitter),
+                        ]
+                        .concat();
                         found.extend(errors(solid, &method, cell, &lattices)?.unwrap_or_default());
                     }
                 }
@@ -64,7 +67,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                     signed(mean(all().map(|e| e.bias))),
                     signed(worst(all().map(|e| e.bias))),
                     figure(mean(all().map(|e| e.hausdorff))),
-                    figure(pool(&method, cell)?.rms),
+                    figure(pool_deviation(&method, cell)?.rms),
                     format!("{:.2}", triangles as f64 / 1e6),
                     figure(seconds),
                 ]);
@@ -94,7 +97,7 @@ fn cost(method: &Method, frame: &[[f32; 3]], cell: f64) -> Outcome<(f64, usize)>
             method.surface(frame, grid(cell)?, 1.0, Normals::None, &mut Timings::default())?;
         let triangles = surface.to_mesh()?.triangles.len();
         least = (start.elapsed().as_secs_f64().min(least.0), triangles);
-        held(&surface, frame.len(), 1.0)?;
+        volume_ratio(&surface, frame.len(), 1.0)?;
     }
     Ok(least)
 }

@@ -13,13 +13,13 @@ use meniscus::internals::field::recipe::Recipe;
 use meniscus::internals::frame::{Engine, FrameError};
 use meniscus::internals::grid::Grid;
 use meniscus::internals::grid::units::{FULL, Isovalue};
-use meniscus::internals::particles::lattice::sound_origin;
+use meniscus::internals::particles::lattice::lattice_origin;
 use meniscus::internals::system::timings::Timings;
 use rayon::prelude::*;
 
 use crate::accuracy::{CELLS, Errors, SAMPLINGS};
 use crate::methods::{COUNTING, grid, sampling, surfacing};
-use crate::sample::{Lattice, fill, place};
+use crate::sample::{Lattice, fill, unit_cube_point};
 use crate::shapes::{Solid, solids};
 use crate::tables::{Table, figure, mean, signed, worst};
 use crate::{Options, Outcome};
@@ -119,7 +119,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                     averages.row(first.chain(per_rule(&all)));
                 }
                 let anywhere: Vec<Lattice> =
-                    (0..count / 2).map(|n| lattice(cell * place(n))).collect();
+                    (0..count / 2).map(|n| lattice(cell * unit_cube_point(n))).collect();
                 let found = measure(&anywhere)?;
                 let all: Vec<&Found> = found.iter().flatten().collect();
                 averages.row(about.into_iter().chain(["anywhere".into()]).chain(per_rule(&all)));
@@ -157,13 +157,13 @@ fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) 
         Engine::sample(&particles, &sampling(grid, 1.0, indicator), &mut Timings::default())
     };
     let frame = sample(grid(cell)?)?;
-    let (asked, sampled) =
+    let (settings, sampled) =
         (surfacing(None, None), frame.dif().ok_or("an indicator makes the field")?);
-    let Ok(MeasuredCalibration { calibration, plateau, .. }) = asked.calibrate(sampled) else {
+    let Ok(MeasuredCalibration { calibration, plateau, .. }) = settings.calibrate(sampled) else {
         return Ok(Found { plateau: f64::NAN, errors: vec![None; RULES.len()] });
     };
     let median = f64::from(plateau.value()) / f64::from(FULL);
-    let values = Values::of(sampled, &asked.recipe(sampled, &calibration), solid);
+    let values = Values::of(sampled, &settings.recipe(sampled, &calibration), solid);
     let error = |rule: &Rule| match *rule {
         Rule::Median(share) => error_at(solid, &frame, Some(share * median)),
         Rule::Mean(share) => match values.interior_mean {
@@ -174,7 +174,7 @@ fn found(solid: &Solid, indicator: IndicatorKind, cell: f64, lattice: &Lattice) 
             error_at(solid, &frame, Some(values.above(particles.len() as f64 / cell.powi(3))))
         }
         Rule::Moved => {
-            let origin = sound_origin(&particles, DVec3::ZERO, cell).unwrap_or(DVec3::ZERO);
+            let origin = lattice_origin(&particles, DVec3::ZERO, cell).unwrap_or(DVec3::ZERO);
             error_at(solid, &sample(Grid::new(origin, cell)?)?, None)
         }
     };

@@ -172,7 +172,7 @@ impl Iso {
 
 /// The volume inside a surface, divided by the volume of its particles. Returns an error if the
 /// surface encloses too little volume, because its time would then be meaningless.
-pub fn held(surface: &StitchedSurface, particles: usize, spacing: f64) -> Outcome<f64> {
+pub fn volume_ratio(surface: &StitchedSurface, particles: usize, spacing: f64) -> Outcome<f64> {
     match Shortfall::of(surface, None, particles, None, spacing)? {
         None => Ok(surface.volume()? / (particles as f64 * spacing.powi(3))),
         Some(shortfall) => {

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 
 use crate::camera::{Camera, write, write_sheet};
 use crate::methods::{Iso, Method, grid};
-use crate::sample::{Lattice, fill, place};
+use crate::sample::{Lattice, fill, unit_cube_point};
 use crate::scene::splash;
 use crate::shapes::{Solid, solids};
 use crate::{Options, Outcome};
@@ -101,7 +101,7 @@ pub fn run(options: &Options) -> Outcome<()> {
 /// outside.
 fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     let lattice = Lattice {
-        shift: place(0),
+        shift: unit_cube_point(0),
         turn: DQuat::IDENTITY,
         jitter: JITTER,
         inset: options.inset,

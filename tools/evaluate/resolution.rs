@@ -15,7 +15,7 @@ use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::{Device, DeviceChoice, DeviceOptions, Instance, VulkanError};
 use rayon::prelude::*;
 
-use crate::methods::{COUNTING, Iso, Sigmas, grid, held, sampling, surfacing};
+use crate::methods::{COUNTING, Iso, Sigmas, grid, sampling, surfacing, volume_ratio};
 use crate::scene::splash;
 use crate::speed::longest_side;
 use crate::tables::Table;
@@ -86,7 +86,7 @@ fn on_cpu(particles: &[[f32; 3]], cell: f64) -> Outcome<Figures> {
     let stitched = frame.surface(&surfacing, &mut Timings::default())?;
     let surface = stitched.to_mesh()?;
     let whole = start.elapsed().as_secs_f64();
-    held(&stitched, particles.len(), 1.0)?;
+    volume_ratio(&stitched, particles.len(), 1.0)?;
 
     let start = Instant::now();
     let sampled = frame.dif().ok_or("an indicator makes the field")?;
@@ -133,7 +133,7 @@ fn on_device(device: &Device, particles: &[[f32; 3]], cell: f64) -> Outcome<Figu
         let mesh = frame.surface(&surfacing, &mut Timings::default())?;
         mesh.to_mesh()?;
         let seconds = start.elapsed().as_secs_f64();
-        held(&mesh, particles.len(), 1.0)?;
+        volume_ratio(&mesh, particles.len(), 1.0)?;
         Ok((seconds, mesh.triangle_count()))
     };
     // Do not measure the first run: it compiles shaders and allocates memory.

@@ -54,18 +54,20 @@ fn greatest_move(indicator: IndicatorKind, cell: f64, jitter: f64) -> Outcome<f6
         pool.iter().map(|&[x, y, z]| [x, y + rise(step), z]).collect()
     };
 
-    let asked = surfacing(None, None);
+    let settings = surfacing(None, None);
     let free = sampling(grid(cell)?, 1.0, indicator);
     let FrameMeasurements { grid, calibration, .. } =
-        measure(&raised(0), &free, Origin::Free, &asked)?;
+        measure(&raised(0), &free, Origin::Free, &settings)?;
     let mean = calibration.and_then(|known| known.mean());
     let frozen = Sampling { grid, method: Method::Indicator { kind: indicator, mean }, ..free };
 
     let height = |step: u32| -> Outcome<f64> {
         let timings = &mut Timings::default();
         let frame = Engine::sample(&raised(step), &frozen, timings)?;
-        let mesh =
-            frame.calibrate(&asked, calibration.as_ref(), timings)?.surface(timings)?.to_mesh()?;
+        let mesh = frame
+            .calibrate(&settings, calibration.as_ref(), timings)?
+            .surface(timings)?
+            .to_mesh()?;
         Ok(level(&mesh) - rise(step))
     };
     let heights: Vec<f64> = (0..=STEPS).map(height).collect::<Outcome<_>>()?;
@@ -79,9 +81,9 @@ fn level(mesh: &Mesh) -> f64 {
         let corners = triangle.map(|vertex| mesh.positions[vertex as usize]);
         if corners.iter().all(is_central) {
             let [a, b, c] = corners.map(DVec3::from);
-            let seen = (b - a).cross(c - a).y;
-            area += seen;
-            sum += seen * (a.y + b.y + c.y) / 3.0;
+            let projected = (b - a).cross(c - a).y;
+            area += projected;
+            sum += projected * (a.y + b.y + c.y) / 3.0;
         }
     }
     sum / area

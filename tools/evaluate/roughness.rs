@@ -9,7 +9,7 @@ use meniscus::internals::system::timings::Timings;
 
 use crate::meshes::sphere;
 use crate::methods::{Iso, Method, grid};
-use crate::sample::{Lattice, cuboid, fill, place};
+use crate::sample::{Lattice, cuboid, fill, unit_cube_point};
 use crate::scene::Random;
 use crate::shapes::Solid;
 use crate::tables::{Table, figure, mean, signed};
@@ -50,8 +50,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         let methods = Method::ALL.iter().copied().chain(narrower).chain(lower).chain(detailed);
         for method in &methods.collect::<Vec<_>>() {
             let about = || [figure(cell), method.name()].into_iter();
-            let of_pool = pool(method, cell)?;
-            let of_ball = around(method, &ball, cell)?;
+            let of_pool = pool_deviation(method, cell)?;
+            let of_ball = ball_deviation(method, &ball, cell)?;
             surfaces.row(about().chain([of_pool, of_ball].into_iter().flat_map(Deviation::text)));
             let layers: Outcome<Vec<_>> =
                 (1..=3).map(|layers| sheet(method, cell, layers)).collect();
@@ -64,7 +64,7 @@ pub fn run(options: &Options) -> Outcome<()> {
     }
     surfaces.print(
         "deviation from the true surface, in spacings, of a level pool and a ball, jittered by 0.3: \
-         the mean (bias), and the RMS around the mean; within: the number of bubbles, crumbs and handles of four \
+         the mean (bias), and the RMS around the mean; within: the number of additional components and handles of four \
          pools, and of the ball",
     );
     sheets.print(
@@ -81,7 +81,7 @@ pub fn run(options: &Options) -> Outcome<()> {
 pub struct Deviation {
     pub bias: f64,
     pub rms: f64,
-    /// Number of bubbles, crumbs and tunnels: additional components plus handles.
+    /// Number of additional components (bubbles and small pieces) plus number of handles.
     within: i64,
 }
 
@@ -111,18 +111,18 @@ fn mesh(method: &Method, particles: &[[f64; 3]], cell: f64) -> Outcome<Mesh> {
 
 /// Moves particles to position `number` within a cell.
 fn shifted(particles: Vec<[f64; 3]>, cell: f64, number: usize) -> Vec<[f64; 3]> {
-    let shift = cell * place(number);
+    let shift = cell * unit_cube_point(number);
     particles.into_iter().map(|p| (DVec3::from(p) + shift).into()).collect()
 }
 
 /// The errors of the surface of a level pool: the mean over several heights of the pool within a
 /// cell.
-pub fn pool(method: &Method, cell: f64) -> Outcome<Deviation> {
+pub fn pool_deviation(method: &Method, cell: f64) -> Outcome<Deviation> {
     let at_height = |number: usize| -> Outcome<Deviation> {
         let mut random = Random::new(number as u64);
         let pool = cuboid(IVec3::new(0, -12, 0), IVec3::new(WIDTH, 0, WIDTH), JITTER, &mut random);
         let mesh = mesh(method, &shifted(pool, cell, number), cell)?;
-        let top = cell * place(number).y;
+        let top = cell * unit_cube_point(number).y;
         let central = mesh.positions.iter().filter(|p| is_central(p));
         Ok(Deviation::of(&mesh, central.map(|p| p[1] - top)))
     };
@@ -140,9 +140,14 @@ pub fn is_central(p: &[f64; 3]) -> bool {
     within.contains(&p[0]) && within.contains(&p[2]) && p[1] > -NEAR
 }
 
-fn around(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
-    let lattice =
-        Lattice { shift: place(0), turn: DQuat::IDENTITY, jitter: JITTER, inset: 0.0, seed: 1 };
+fn ball_deviation(method: &Method, ball: &Solid, cell: f64) -> Outcome<Deviation> {
+    let lattice = Lattice {
+        shift: unit_cube_point(0),
+        turn: DQuat::IDENTITY,
+        jitter: JITTER,
+        inset: 0.0,
+        seed: 1,
+    };
     let mesh = mesh(method, &fill(ball, &lattice), cell)?;
     Ok(Deviation::of(&mesh, mesh.positions.iter().map(|&p| -ball.depth(p.into()))))
 }

@@ -75,7 +75,7 @@ pub fn cuboid(lo: IVec3, hi: IVec3, jitter: f64, random: &mut Random) -> Vec<[f6
 }
 
 /// Point number `n` of a sequence that fills the unit cube evenly (R3, Roberts 2018).
-pub fn place(n: usize) -> DVec3 {
+pub fn unit_cube_point(n: usize) -> DVec3 {
     let step =
         DVec3::new(0.819_172_513_396_164_4, 0.671_043_606_703_789_3, 0.549_700_477_901_970_2);
     (0.5 + (n + 1) as f64 * step).fract()
@@ -87,12 +87,12 @@ mod tests {
     use crate::meshes::sphere;
 
     #[test]
-    fn the_particles_of_a_ball_have_the_volume_of_the_ball_that_their_inset_leaves() {
+    fn the_number_of_particles_matches_the_volume_of_the_inset_ball() {
         let ball = Solid::new("ball", sphere(1.0, 5), 20_000).unwrap();
         let radius = (20_000.0 * 0.75 / std::f64::consts::PI).cbrt();
         for (jitter, inset) in [(0.0, 0.0), (0.3, 0.0), (0.3, 0.5)] {
             let turn = DQuat::from_rotation_x(0.4);
-            let lattice = Lattice { shift: place(1), turn, jitter, inset, seed: 7 };
+            let lattice = Lattice { shift: unit_cube_point(1), turn, jitter, inset, seed: 7 };
             let expected = 20_000.0 * ((radius - inset) / radius).powi(3);
             let count = fill(&ball, &lattice).len() as f64;
             assert!((count / expected - 1.0).abs() < 0.01, "{count} particles, not {expected}");

@@ -46,17 +46,19 @@ pub fn run(options: &Options) -> Outcome<()> {
         let particles = open_particles(path, &Settings::default())
             .map_err(|fault| format!("{path}: {fault}"))?;
         let name = Path::new(path).file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let truth = truth.or_else(|| named(&name)).or(particles.spacing);
+        let truth = truth.or_else(|| spacing_in_name(&name)).or(particles.spacing);
         let truth = truth.ok_or_else(|| format!("{path}: the true spacing is not known"))?;
         let mut positions = vec![[0.0; 3]; particles.particles.len()];
         particles.particles.positions(0, &mut positions);
         estimates.row(estimate(&name, &positions, truth));
         given.row(
-            [name.clone()].into_iter().chain(GIVEN.map(|over| said_of(&positions, over * truth))),
+            [name.clone()]
+                .into_iter()
+                .chain(GIVEN.map(|over| warnings_about(&positions, over * truth))),
         );
         cost.row(cost_of(&name, &positions)?);
     }
-    for (name, particles) in made(options.quick) {
+    for (name, particles) in generated_particles(options.quick) {
         estimates.row(estimate(&name, &particles, 1.0));
     }
     estimates.print("Estimated spacing divided by the true spacing, and the warnings");
@@ -68,7 +70,7 @@ pub fn run(options: &Options) -> Outcome<()> {
 }
 
 /// The spacing that follows `Dp` in the name of a DualSPHysics table.
-fn named(name: &str) -> Option<f64> {
+fn spacing_in_name(name: &str) -> Option<f64> {
     let rest = &name[name.find("Dp")? + 2..];
     let end = rest.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(rest.len());
     rest[..end].parse().ok()
@@ -80,14 +82,14 @@ fn estimate(name: &str, particles: &[[f64; 3]], truth: f64) -> [String; 5] {
     let over =
         |spacing: Option<f64>| spacing.map_or("none".into(), |spacing| figure(spacing / truth));
     let request = SamplingRequest::default();
-    let (estimate, said) = match request.cells(&particles, SpacingHints::default()) {
-        Ok(cells) => (cells.spacing(), words(&cells)),
+    let (estimate, warnings) = match request.cells(&particles, SpacingHints::default()) {
+        Ok(cells) => (cells.spacing(), describe_warnings(&cells)),
         Err(error) => (None, error.to_string()),
     };
-    [name.to_owned(), particles.len().to_string(), over(counted), over(estimate), said]
+    [name.to_owned(), particles.len().to_string(), over(counted), over(estimate), warnings]
 }
 
-fn words(cells: &Cells) -> String {
+fn describe_warnings(cells: &Cells) -> String {
     let slab = cells.slab.map(|_| "a plane".to_owned());
     let warnings = cells.warnings.iter().map(|warning| match warning {
         SpacingWarning::Contradicted { given, found, mistake, .. } => {
@@ -115,11 +117,11 @@ fn words(cells: &Cells) -> String {
     slab.into_iter().chain(warnings).collect::<Vec<_>>().join("; ")
 }
 
-fn said_of(particles: &[[f64; 3]], spacing: f64) -> String {
+fn warnings_about(particles: &[[f64; 3]], spacing: f64) -> String {
     let request = SamplingRequest { spacing: Some(spacing), ..SamplingRequest::default() };
     request
         .cells(&particles, SpacingHints::default())
-        .map_or_else(|error| error.to_string(), |cells| words(&cells))
+        .map_or_else(|error| error.to_string(), |cells| describe_warnings(&cells))
 }
 
 /// A table row with the time of the estimate, the time of a whole frame with a known spacing, and
@@ -166,7 +168,7 @@ fn layers([x, y, z]: [usize; 3], jitter: f64, random: &mut Random) -> Vec<[f64; 
 }
 
 /// Rotates particles by random angles about all axes.
-fn turned(particles: Vec<[f64; 3]>, random: &mut Random) -> Vec<[f64; 3]> {
+fn rotated(particles: Vec<[f64; 3]>, random: &mut Random) -> Vec<[f64; 3]> {
     let [a, b, c] = [(); 3].map(|()| 6.0 * random.unit());
     let turn = DQuat::from_euler(EulerRot::XYZ, a, b, c);
     particles.into_iter().map(|p| (turn * DVec3::from(p)).into()).collect()
@@ -181,10 +183,10 @@ fn bars(size: [usize; 3], gap: usize, jitter: f64, random: &mut Random) -> Vec<[
         let bar = layers(size, jitter, random);
         all.extend(bar.into_iter().map(|[x, y, z]| [x, y + at[0], z + at[1]]));
     }
-    turned(all, random)
+    rotated(all, random)
 }
 
-fn made(quick: bool) -> Vec<(String, Vec<[f64; 3]>)> {
+fn generated_particles(quick: bool) -> Vec<(String, Vec<[f64; 3]>)> {
     let random = &mut Random::new(7);
     let mut all = Vec::new();
     for width in 1..=5 {

@@ -8,7 +8,7 @@ use meniscus::internals::surface::stitch::StitchedSurface;
 use meniscus::internals::system::timings::Timings;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::methods::{Iso, Method, grid, held};
+use crate::methods::{Iso, Method, grid, volume_ratio};
 use crate::scene::splash;
 use crate::tables::{Table, deviation, mean};
 use crate::{Options, Outcome};
@@ -41,7 +41,7 @@ const PAPER: [PaperScene; 4] = [
 ];
 
 /// A method that takes more seconds per frame than this is measured on only one frame.
-const PATIENCE: f64 = 10.0;
+const SLOW_SECONDS: f64 = 10.0;
 
 impl PaperScene {
     /// The default method, and the paper's five methods with the paper's times. The isovalue is
@@ -88,7 +88,7 @@ pub fn run(options: &Options) -> Outcome<()> {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build()?;
             let mut ours = None;
             for (name, method, paper) in scene.methods() {
-                let (seconds, held) = seconds(&method, &frames, cells, &pool)?;
+                let (seconds, volume) = seconds(&method, &frames, cells, &pool)?;
                 let mean = mean(seconds.iter().copied());
                 let ours = *ours.get_or_insert(mean);
                 // Show the paper's times only for one thread and all particles, as in the paper.
@@ -101,7 +101,7 @@ pub fn run(options: &Options) -> Outcome<()> {
                     name,
                     format!("{mean:.3}"),
                     format!("{:.3}", deviation(&seconds)),
-                    format!("{held:.2}"),
+                    format!("{volume:.2}"),
                     paper.map_or("-".into(), |paper| format!("{paper:.2}")),
                     paper.map_or("-".into(), |paper| format!("{:.1}", paper / mean)),
                     format!("{:.1}", mean / ours),
@@ -137,8 +137,8 @@ fn seconds(
             Ok(surface)
         })?;
         seconds.push(start.elapsed().as_secs_f64());
-        share = held(&surface, frame.len(), spacing)?;
-        if seconds[0] > PATIENCE {
+        share = volume_ratio(&surface, frame.len(), spacing)?;
+        if seconds[0] > SLOW_SECONDS {
             return Ok((seconds, share));
         }
     }

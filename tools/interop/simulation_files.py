@@ -234,16 +234,16 @@ def ghost_steps(folder, values):
             steps = root.create_group("Steps")
             # The last step refers to its cells by their offset, which VTK supports only for
             # PolyData.
-            told = STEPS if kind == "PolyData" else STEPS[:-1]
-            steps.attrs["NSteps"] = len(told)
-            steps["Values"] = TIME * np.arange(len(told))
+            used_steps = STEPS if kind == "PolyData" else STEPS[:-1]
+            steps.attrs["NSteps"] = len(used_steps)
+            steps["Values"] = TIME * np.arange(len(used_steps))
             for column, name in enumerate(["PartOffsets", "NumberOfParts", "PointOffsets"]):
-                steps[name] = np.array([step[column] for step in told])
+                steps[name] = np.array([step[column] for step in used_steps])
             for column, name in [(3, "CellOffsets"), (4, "ConnectivityIdOffsets")]:
-                by_kind = [(*step[column], 0, 0) for step in told]
+                by_kind = [(*step[column], 0, 0) for step in used_steps]
                 steps[name] = np.array(by_kind if kind == "PolyData" else [[sum(entry)] for entry in by_kind])
-            steps["CellDataOffsets/vtkGhostType"] = np.array([step[5] for step in told])
-            steps["PointDataOffsets/id"] = np.array([step[2] for step in told])
+            steps["CellDataOffsets/vtkGhostType"] = np.array([step[5] for step in used_steps])
+            steps["PointDataOffsets/id"] = np.array([step[2] for step in used_steps])
 
 
 def swift(folder, values):

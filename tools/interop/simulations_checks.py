@@ -19,14 +19,14 @@ def info(name, *options):
     return json.loads(subprocess.check_output([meniscus, "info", "--json", f"{folder}/{name}", *options]))[0]
 
 
-def check(name, expected, ghosts=0, velocity="velocity", tolerance=0.0, options=(), **said):
+def check(name, expected, ghosts=0, velocity="velocity", tolerance=0.0, options=(), **fields):
     found = info(name, *options)
     assert (found["particles"], found["ghosts"]) == (len(expected), ghosts), found
     box = [expected.min(0), expected.max(0)]
     assert np.allclose(found["bounds"], box, rtol=tolerance, atol=0), (name, found["bounds"], box)
     names = {a["name"]: a["components"] for a in found["attributes"]}
     assert names[velocity] == 3, (name, names)
-    for key, value in said.items():
+    for key, value in fields.items():
         assert found[key] is not None and np.allclose(found[key], value, rtol=1e-6), (name, key, found[key])
     print(f"{name}: {found['format']}, {found['particles']} particles, {ghosts} ghosts")
 

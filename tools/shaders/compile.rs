@@ -24,23 +24,23 @@ use rspirv::spirv::{Decoration, Op, StorageClass, Word};
 pub type Fault = Box<dyn std::error::Error + Send + Sync>;
 
 /// A file that is generated from the sources: a binary, or the Rust table.
-pub struct Made {
+pub struct GeneratedFile {
     pub file: PathBuf,
     pub bytes: Vec<u8>,
 }
 
 /// Compiles all sources, and returns the generated files that are missing or outdated.
-pub fn outdated() -> Result<Vec<Made>, Fault> {
+pub fn outdated() -> Result<Vec<GeneratedFile>, Fault> {
     let (mut made, mut modules) = (Vec::new(), BTreeMap::new());
     for name in programs()? {
         let source = source(&name)?;
         let file = folder().join(&name).with_extension("spv");
-        made.push(Made { file, bytes: compiled(&name, &source)? });
+        made.push(GeneratedFile { file, bytes: compiled(&name, &source)? });
         let module = parsed(&name, &source)?;
         modules.insert(name, module);
     }
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("src/shaders.rs");
-    made.push(Made { file, bytes: table::rust(&modules)?.into_bytes() });
+    made.push(GeneratedFile { file, bytes: table::rust(&modules)?.into_bytes() });
     made.retain(|made| fs::read(&made.file).ok().as_ref() != Some(&made.bytes));
     Ok(made)
 }
@@ -129,14 +129,14 @@ fn compiled_with(name: &str, source: &str, checks: BoundsCheckPolicy) -> Result<
         ..spv::Options::default()
     };
     let words = spv::write_vec(&module, &info, &options, None)?;
-    let words = without_idle_layouts(&words).map_err(|fault| format!("{name}: {fault}"))?;
+    let words = without_unused_layouts(&words).map_err(|fault| format!("{name}: {fault}"))?;
     Ok(words.iter().flat_map(|word| word.to_le_bytes()).collect())
 }
 
 /// Removes the layout decorations of all types except those of storage buffers and push blocks.
 /// naga decorates all arrays, but Vulkan allows no layouts in workgroup memory
 /// (VUID-StandaloneSpirv-None-10684).
-fn without_idle_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
+fn without_unused_layouts(words: &[u32]) -> Result<Vec<u32>, Fault> {
     let mut module = rspirv::dr::load_words(words).map_err(|fault| fault.to_string())?;
     let ids = |of: &Instruction| {
         of.operands.iter().filter_map(Operand::id_ref_any).collect::<Vec<Word>>()

@@ -18,7 +18,7 @@ use std::io::Write;
 use std::process::ExitCode;
 
 use clap::Parser;
-use compile::{Fault, Made};
+use compile::{Fault, GeneratedFile};
 use tempfile::NamedTempFile;
 
 /// Compile the shaders' sources to binaries and to their Rust table.
@@ -53,7 +53,7 @@ fn run(options: &Options) -> Result<ExitCode, Fault> {
 }
 
 /// Replaces a file with a complete temporary file, so that the file is never half-written.
-fn write(Made { file, bytes }: &Made) -> Result<(), Fault> {
+fn write(GeneratedFile { file, bytes }: &GeneratedFile) -> Result<(), Fault> {
     let mut whole = NamedTempFile::new_in(file.parent().expect("files are in folders"))?;
     whole.write_all(bytes)?;
     // Only the owner can access a temporary file, so copy the permissions of the replaced file.

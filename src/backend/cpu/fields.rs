@@ -21,11 +21,11 @@ use crate::grid::units::Isovalue;
 use crate::grid::{CellBox, Mirror};
 use crate::surface::solid::Solid;
 
-/// Number of samples that are tested together.
+/// Number of samples that one pass tests.
 const PIECE: usize = 1 << 10;
 
-/// A block is sparse if at most one in `FEW` samples is nonzero.
-const FEW: usize = 8;
+/// A block is sparse if at most one in `SPARSE_RATIO` samples is nonzero.
+const SPARSE_RATIO: usize = 8;
 
 fn minimum(samples: &[u16]) -> u16 {
     samples.iter().fold(u16::MAX, |minimum, &sample| minimum.min(sample))
@@ -41,8 +41,8 @@ pub fn field(recipe: &Recipe, sampled: &SampledDif, cells: CellBox) -> Block {
 /// Computes the final field on each of `boxes` in turn. The boxes are near each other. The result
 /// for a box is `None` if it turns out, before the field is complete, that no surface can pass
 /// through the box. The flag of each box says whether the box is away from walls. The boxes share
-/// intermediate results if these fit into `most_bytes`. A solid near any of the boxes cuts the
-/// field.
+/// intermediate results if this saves work, and if the results fit into `most_bytes`. `solid` must
+/// be set if a solid is near any of the boxes; it cuts the fields.
 pub(super) fn cut_fields<'a>(
     recipe: &'a Recipe,
     sampled: &'a SampledDif,
@@ -75,16 +75,16 @@ pub(super) fn cut_fields<'a>(
     };
     let bytes = distances.bulk_bytes(distances.wide_cells(all)) + solid.map_or(0, filled);
     let fits = bytes <= most_bytes;
-    let apart: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
-    let together = fits && volume(all) <= apart;
+    let separate: usize = boxes.clone().map(|(cells, _)| volume(cells)).sum();
+    let shares_wide = fits && volume(all) <= separate;
     let made = move |cells, field_use| bulk(distances, &mut blocks(cells, field_use)).ok();
-    let of_all = if together {
+    let wide_of_all = if shares_wide {
         made(all, FieldUse::NearSurface { iso: recipe.iso, away_from_walls: solid.is_none() })
     } else {
         None
     };
     let field = move |(cells, field_use)| {
-        let wide = if together { of_all.clone() } else { made(cells, field_use) };
+        let wide = if shares_wide { wide_of_all.clone() } else { made(cells, field_use) };
         block(joined_fields(distances, &mut blocks(cells, field_use), wide?))
     };
     Box::new(boxes.map(field))
@@ -142,7 +142,8 @@ pub(super) fn wide_volume(distances: &DistanceFilters, cells: CellBox) -> usize 
     distances.wide_cells(cells).grown(halo, halo).volume()
 }
 
-/// The cells that depend on any of the cells `wide`, which are 2^`level` times as wide.
+/// The cells whose interpolated samples depend on any of the cells `wide`, which are 2^`level`
+/// times as wide.
 pub(super) fn refined_from(level: u32, wide: CellBox) -> CellBox {
     if wide.is_empty() {
         return wide;
@@ -212,13 +213,14 @@ pub(super) struct Blocks<'a> {
     /// The part of `cells` for which samples are gathered.
     pub(super) wanted: CellBox,
     field_use: FieldUse,
-    /// Whether blurred samples can show that no surface passes through the cells.
-    decides: bool,
+    /// Whether the field consists of weighted means of the gathered samples, so that these samples
+    /// can show that no surface passes through the cells.
+    is_mean: bool,
     /// Whether almost all samples are 0.
-    few: bool,
+    sparse: bool,
     /// The distance by which nearby particles lie outside the calm surface, sampled in the grid's
-    /// cells, and the greatest distance at which nothing stands out; `None` if wide cells are wider
-    /// than the grid's cells.
+    /// cells, and the greatest distance at which no particle stands out; `None` if this field has
+    /// not been computed in the grid's cells.
     near: Option<(Rc<Block>, u16)>,
 }
 
@@ -237,9 +239,9 @@ impl<'a> Blocks<'a> {
     }
 
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, field_use: FieldUse) -> Self {
-        // The paper's smoothing is a mean of the DIF. Unless details are recovered, the DIF's
-        // samples therefore decide whether a surface can pass.
-        let decides = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
+        // The paper's smoothing computes weighted means of the DIF. The recovery of details does
+        // not.
+        let is_mean = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
         let (density, solid, outside) = (None, None, None);
         Self {
             sampled,
@@ -249,20 +251,20 @@ impl<'a> Blocks<'a> {
             cells,
             wanted: cells,
             field_use,
-            decides,
-            few: false,
+            is_mean,
+            sparse: false,
             near: None,
         }
     }
 
     /// Prepares the fields of samples that are almost all 0.
-    pub(super) fn of_few(
+    pub(super) fn of_sparse(
         recipe: &Recipe,
         sampled: &'a SampledDif,
         cells: CellBox,
         field_use: FieldUse,
     ) -> Self {
-        Self { few: true, ..Self::new(recipe, sampled, cells, field_use) }
+        Self { sparse: true, ..Self::new(recipe, sampled, cells, field_use) }
     }
 }
 
@@ -306,9 +308,9 @@ impl Blocks<'_> {
         BlockField::new(block, level)
     }
 
-    /// Gathers the samples of spray.
-    fn gathered_few(&self, level: u32, cells: CellBox) -> BlockField {
-        let most = cells.volume() / FEW;
+    /// Gathers samples that are almost all 0, and finds the full cells.
+    fn gathered_sparse(&self, level: u32, cells: CellBox) -> BlockField {
+        let most = cells.volume() / SPARSE_RATIO;
         let samples = self.sampled.wide(level);
         let (block, full) = match self.mirror(level) {
             Some(mirror) if !mirror.cells().covers(&cells) => {
@@ -328,17 +330,17 @@ impl Fields for Blocks<'_> {
 
     fn samples(&mut self, level: u32, halo: i32) -> Result<BlockField, StopSignal> {
         let cells = wide_cells(level, self.wanted).grown(halo, halo);
-        let field = if self.few {
-            self.gathered_few(level, cells)
+        let field = if self.sparse {
+            self.gathered_sparse(level, cells)
         } else {
             BlockField::new(self.gathered(level, cells), level)
         };
-        let goes_on = if self.decides {
+        let may_have_surface = if self.is_mean {
             self.field_use.may_cut(&field.block)
         } else {
             self.field_use.may_show_any(&field.block)
         };
-        if goes_on { Ok(field) } else { Err(StopSignal) }
+        if may_have_surface { Ok(field) } else { Err(StopSignal) }
     }
 
     fn filled(&mut self, clouds: &BlockField, scale: u32) -> Result<BlockField, StopSignal> {
@@ -363,8 +365,8 @@ impl Fields for Blocks<'_> {
             let cells = block.cells().grown(-weights.reach(), -weights.reach());
             return Ok(BlockField::new(blur_of_few(&block, &full, weights, cells, mirror), level));
         }
-        let goes_on = |smooth: &Block| !self.decides || self.field_use.may_cut(smooth);
-        let block = blur_while(Rc::unwrap_or_clone(block), weights, mirror, goes_on);
+        let may_have_surface = |smooth: &Block| !self.is_mean || self.field_use.may_cut(smooth);
+        let block = blur_while(Rc::unwrap_or_clone(block), weights, mirror, may_have_surface);
         block.map(|block| BlockField::new(block, level)).ok_or(StopSignal)
     }
 
@@ -388,7 +390,8 @@ impl Fields for Blocks<'_> {
 
     fn depths(&mut self, by: &Bulk, clouds: BlockField) -> Result<Depths<BlockField>, StopSignal> {
         let BlockField { ref block, level, ref full } = clouds;
-        // All three filters compute the cells that remain after the widest filter.
+        // The cells that remain after the widest filter. In sparse blocks, all three filters
+        // compute only these cells.
         let cells = block.cells().grown(-by.reach(), -by.reach());
         let share = |width: &Width| {
             let (weights, mirror) = (&width.weights, self.mirror(level));
@@ -425,7 +428,8 @@ impl Fields for Blocks<'_> {
         by: (u16, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
         let mut block = outlying([&calm.block, &fine.block], &clouds.block, by);
-        // Inside a solid, the bulk continues, although no particle is near.
+        // Inside a solid, the bulk continues, although there are no particles. The sample must not
+        // be `NONE` there.
         let outside = self.outside.take().map(|outside| outside.part(block.cells()));
         let shares = outside.iter().flat_map(|outside| outside.samples());
         for (sample, _) in
@@ -547,19 +551,19 @@ impl Fields for Blocks<'_> {
             spread(needed, reach)
         };
         let step = by.numbers.step;
-        let mut seen = cells.grown(step, step);
-        // There are no sheets where the density is low, so they are computed only around denser
+        let mut density_cells = cells.grown(step, step);
+        // There are no sheets where the density is low, so sheets are computed only around denser
         // cells.
-        if self.mirror(level).is_none_or(|mirror| mirror.cells().covers(&seen)) {
+        if self.mirror(level).is_none_or(|mirror| mirror.cells().covers(&density_cells)) {
             let least = by.least_density();
             let dense = wide.block.box_of(|sample| sample >= least);
             let dense = refined_from(wide.level - level, dense).intersection(&cells);
             if dense.is_empty() {
                 return Ok(None);
             }
-            seen = dense.grown(step, step);
+            density_cells = dense.grown(step, step);
         }
-        let density = self.field(refined(&wide.block, wide.level - level, seen), level);
+        let density = self.field(refined(&wide.block, wide.level - level, density_cells), level);
         let needed = self.near.as_ref().map(around);
         let found = sheets(by, &density.block, cells, needed.as_ref());
         Ok(found.map(|SheetFields { shares, certainty }| SheetFields {

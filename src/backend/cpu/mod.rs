@@ -21,13 +21,13 @@ use crate::surface::dual_mc::{block_mesh, dual_cells};
 use crate::surface::mesh::BlockMesh;
 use crate::system::control::Meter;
 
-use super::{BINS_A_THREAD, Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
+use super::{BINS_PER_THREAD, Executor, REGIONS_PER_CALL, Stages, Surfaces, Take, Work};
 use fields::cut_fields;
 use spray::SprayMaker;
 
-/// All threads in total use at most 1 / `SHARE` of the budget for meshing neighbouring blocks
-/// together.
-const SHARE: u64 = 8;
+/// All threads together use at most 1 / `GROUP_SHARE` of the memory budget for meshing groups of
+/// neighbouring blocks.
+const GROUP_SHARE: u64 = 8;
 
 /// Edge, in blocks, of the cubes of blocks that are meshed together. Spray has larger cubes than
 /// other fluid.
@@ -52,23 +52,23 @@ impl Executor for Cpu {
     }
 
     fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
-        let together = budget.0 / SHARE / rayon::current_num_threads() as u64;
-        Box::new(CpuStages { together })
+        let group_bytes = budget.0 / GROUP_SHARE / rayon::current_num_threads() as u64;
+        Box::new(CpuStages { group_bytes })
     }
 }
 
 /// The stages of a frame on the CPU.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct CpuStages {
-    /// Maximum number of bytes that each thread may take to mesh neighbouring blocks together; if
+    /// Maximum number of bytes that each thread may take to mesh a group of neighbouring blocks; if
     /// 0, each block is meshed separately.
-    together: u64,
+    group_bytes: u64,
 }
 
 impl CpuStages {
     /// The stages for work that a device cannot do. They mesh each block separately, which takes
     /// the least memory.
-    pub(super) const STAND_IN: Self = Self { together: 0 };
+    pub(super) const STAND_IN: Self = Self { group_bytes: 0 };
 }
 
 impl Stages for CpuStages {
@@ -80,12 +80,12 @@ impl Stages for CpuStages {
         meter: &Meter<'_>,
     ) -> io::Result<Pages> {
         let mut pages = Pages::with_capacity(range.len());
-        let step = BINS_A_THREAD * rayon::current_num_threads();
+        let step = BINS_PER_THREAD * rayon::current_num_threads();
         for first in range.clone().step_by(step) {
             meter.go_on()?;
-            let together = first..range.end.min(first + step);
-            pages.extend(indicate(bins, together.clone(), rule)?);
-            meter.add(together.len());
+            let batch = first..range.end.min(first + step);
+            pages.extend(indicate(bins, batch.clone(), rule)?);
+            meter.add(batch.len());
         }
         Ok(pages)
     }
@@ -99,9 +99,9 @@ impl Stages for CpuStages {
     ) -> io::Result<()> {
         let of_group = |RegionGroup { regions, spray }: RegionGroup<'_>| match spray {
             Some(spray) => meshes_of_spray(surfaces, regions, &spray, meter),
-            None => meshes(surfaces, regions, meter, self.together),
+            None => meshes(surfaces, regions, meter, self.group_bytes),
         };
-        regions.chunks(REGIONS_TOGETHER).try_for_each(|regions| {
+        regions.chunks(REGIONS_PER_CALL).try_for_each(|regions| {
             let groups = self.groups(surfaces, regions);
             take(groups.into_par_iter().flat_map_iter(of_group).collect())
         })
@@ -134,13 +134,13 @@ impl CpuStages {
         // In Morton order, the regions of a cube are consecutive.
         let cubes = |blocks: i32| {
             let cube = move |region: &CellBox| region.lo.div_euclid(IVec3::splat(blocks * BLOCK));
-            move |a: &CellBox, b: &CellBox| self.together > 0 && cube(a) == cube(b)
+            move |a: &CellBox, b: &CellBox| self.group_bytes > 0 && cube(a) == cube(b)
         };
         let spray = |regions: &'a [CellBox]| {
             let cells = regions.iter().map(|&region| surfaces.normals.cells(region));
             let cells = cells.fold(CellBox::EMPTY, |all, cells| all.union(&cells));
             let Surfaces { recipe, sampled, .. } = *surfaces;
-            let spray = SprayMaker::new(recipe, sampled, cells, self.together)?;
+            let spray = SprayMaker::new(recipe, sampled, cells, self.group_bytes)?;
             let at_solid = regions.iter().any(|&region| surfaces.is_at_solid(region));
             (!at_solid).then_some(RegionGroup { regions, spray: Some(spray) })
         };
@@ -183,13 +183,13 @@ fn meshes_of_spray(
     regions.iter().map(mesh).collect()
 }
 
-/// Computes the surfaces of `regions`. The regions share intermediate results if these fit into
-/// `together` bytes.
+/// Computes the surfaces of `regions`. The regions share intermediate results if this saves work,
+/// and if the results fit into `most_bytes`.
 fn meshes(
     surfaces: &Surfaces<'_>,
     regions: &[CellBox],
     meter: &Meter<'_>,
-    together: u64,
+    most_bytes: u64,
 ) -> Vec<Option<BlockMesh>> {
     if !meter.goes_on() {
         return regions.iter().map(|_| None).collect();
@@ -203,7 +203,7 @@ fn meshes(
     let away = |region| solid.is_none() && away(region);
     let boxes: Vec<_> =
         regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
-    let mut fields = cut_fields(recipe, sampled, solid, &boxes, together);
+    let mut fields = cut_fields(recipe, sampled, solid, &boxes, most_bytes);
     let mesh = |&region: &CellBox| {
         let field = fields.next().filter(|_| meter.goes_on()).flatten();
         meter.add(1);

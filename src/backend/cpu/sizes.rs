@@ -27,8 +27,8 @@ pub struct SizedField<'a> {
     clouds: &'a SizedClouds,
     /// A solid that cuts the field, if there is one.
     solid: Option<Arc<Solid>>,
-    /// The recipe of the first octave of `clouds`, and the recipe of all other octaves. Drops are
-    /// refined in all octaves except the finest of the frame.
+    /// The recipe and the filters for the first octave of `clouds`, and those for all other
+    /// octaves. Drops are refined in all octaves except the finest octave of the frame.
     recipes: [(Recipe, DistanceFilters); 2],
     /// The filter that averages sizes, in wide cells of an octave.
     averaging: Weights,
@@ -124,9 +124,9 @@ impl<'a> SizedField<'a> {
         let coarser = finest.clone().refining(sheets, spacing_cells);
         let of = |distances: &DistanceFilters| {
             let DistanceFilters { level, near, drops_level, .. } = *distances;
-            // Surfaces are computed wherever drops can be near. The surfaces and the density of
-            // coarser octaves are interpolated from wide cells. The filters of sizes and of
-            // distances start from these wide cells.
+            // Surfaces are computed on all wide cells that drops can reach. The surfaces and the
+            // density of coarser octaves are interpolated from wide cells. The filters for sizes
+            // and for distances start from these wide cells.
             let wide = 2 + 2 * near + distances.widest_halo().max(averaging);
             halo_in_cells(level, wide).max(halo_in_cells(drops_level, 2 + distances.drops_halo()))
         };
@@ -149,10 +149,10 @@ impl<'a> SizedField<'a> {
         let near = 2 * distances.near;
         let wide =
             |octave: usize| wide_cells(octave as u32 + distances.level, blocks).grown(near, near);
-        let kept = |octave| (FIELDS * wide(octave).volume() * size_of::<u16>()) as u64;
+        let surface_bytes = |octave| (FIELDS * wide(octave).volume() * size_of::<u16>()) as u64;
         distances.block_bytes()
             + distances.bulk_bytes(wide(0))
-            + (0..octaves).map(kept).sum::<u64>()
+            + (0..octaves).map(surface_bytes).sum::<u64>()
     }
 
     /// The maximum distance, in wide cells, from a drop to the nearest particle of its octave. The
@@ -187,16 +187,16 @@ impl<'a> SizedField<'a> {
     /// each box says whether the box is away from walls. The boxes share the surfaces of octaves if
     /// this saves work; sharing does not affect the samples.
     pub fn on_each(&self, boxes: Vec<(CellBox, bool)>) -> impl Iterator<Item = Option<Block>> {
-        let none = || self.no_surfaces();
+        let no_surfaces = || self.no_surfaces();
         let all = boxes.iter().fold(CellBox::EMPTY, |all, (cells, _)| all.union(cells));
-        let apart: usize = boxes.iter().map(|(cells, _)| self.volume(*cells)).sum();
-        let together = self.volume(all) <= apart;
-        let mut of_all = none();
+        let separate: usize = boxes.iter().map(|(cells, _)| self.volume(*cells)).sum();
+        let shares_surfaces = self.volume(all) <= separate;
+        let mut shared = no_surfaces();
         boxes.into_iter().map(move |(cells, away_from_walls)| {
-            if together {
-                self.on((cells, all), away_from_walls, &mut of_all).ok()
+            if shares_surfaces {
+                self.on((cells, all), away_from_walls, &mut shared).ok()
             } else {
-                self.on((cells, cells), away_from_walls, &mut none()).ok()
+                self.on((cells, cells), away_from_walls, &mut no_surfaces()).ok()
             }
         })
     }
@@ -226,7 +226,7 @@ impl<'a> SizedField<'a> {
     }
 
     /// Computes the final field on `cells`, with octave surfaces on the box `around`, which
-    /// contains `cells`.
+    /// contains `cells`; returns the side of the box if no surface can pass through it.
     fn on(
         &self,
         (cells, around): (CellBox, CellBox),
@@ -329,7 +329,7 @@ impl<'a> SizedField<'a> {
             let mirror = self.mirror(octave as u32 + self.distances(octave).level);
             [calm, fine, bulk].map(|field| {
                 let mut field = finer_spacings(refined(field, 1, wide));
-                // The planes of the next octave's mirror may lie elsewhere.
+                // The next octave's mirror can have other planes than this octave's mirror.
                 field.mirror(mirror);
                 field
             })
@@ -351,7 +351,8 @@ impl<'a> SizedField<'a> {
     }
 
     /// The share of the density around the octave's wide cells `wide` that belongs to coarser
-    /// octaves, according to the particles' sizes; `None` if only coarser octaves have particles
+    /// octaves. A particle of the octave belongs to the next octave in proportion to the logarithm
+    /// of its size. The result is `None` if neither this octave nor a finer octave has particles
     /// there.
     fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
@@ -374,7 +375,7 @@ impl<'a> SizedField<'a> {
     fn own_surface(&self, octave: usize, cells: CellBox) -> OctaveSurface {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let density = |level: u32, cells: CellBox| self.clouds.density(octave, level, cells);
-        // The field on the cells `own` is computed from exactly the wide cells `wide`.
+        // The wide cells from which the field on the cells `own` is computed are exactly `wide`.
         let wide = self.wide(octave, cells);
         let further = i32::from(distances.level > 0);
         let own = CellBox {
@@ -409,7 +410,7 @@ impl<'a> SizedField<'a> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let DistanceFilters { level, least, stands_out, .. } = distances;
         let sampled = self.clouds.octave(octave);
-        // First, find the octave's particles that lie outside the calm surface.
+        // First, finds the octave's particles that lie outside the calm surface.
         let mirror = self.mirror(octave as u32 + level);
         let wide = self.wide(octave, cells);
         let clouds = sampled.wide(*level).gather_mirrored(wide, mirror);

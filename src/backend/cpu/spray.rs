@@ -14,11 +14,11 @@ use crate::grid::{CellBox, TILE};
 
 use super::fields::{BlockField, Blocks, FieldUse, refined_from, wide_volume};
 
-/// In spray, the boxes around full cells take at most 1 / `FEW` of the volume.
-const FEW: usize = 16;
+/// In spray, the boxes around full cells take at most 1 / `SPARSE_RATIO` of the volume.
+const SPARSE_RATIO: usize = 16;
 /// The cost of a wide cell of other fluid, as a multiple of the cost of a wide cell within reach of
 /// a drop.
-const CHEAPER: usize = 10;
+const COST_RATIO: usize = 10;
 
 /// Number of cells around the inside of a drop for which the drop's field is needed: a vertex lies
 /// between an inside cell and its neighbour, and normals need one more cell.
@@ -88,7 +88,7 @@ impl<'a> SprayMaker<'a> {
         most_bytes: u64,
     ) -> Option<Self> {
         let Filters::Distances(distances) = &recipe.filters else { return None };
-        if FEW * sampled.dif.full_volume(cells) > cells.volume() {
+        if SPARSE_RATIO * sampled.dif.full_volume(cells) > cells.volume() {
             return None;
         }
         let reach = reach(distances, sampled);
@@ -97,14 +97,14 @@ impl<'a> SprayMaker<'a> {
         groups.retain(|&full| !around(full).intersection(&cells).is_empty());
         let cost = |&full: &CellBox| {
             let volume = wide_volume(distances, around(full));
-            let sparse = FEW * distances.wide_cells(full).volume() <= volume;
-            if sparse { volume / CHEAPER } else { volume }
+            let sparse = SPARSE_RATIO * distances.wide_cells(full).volume() <= volume;
+            if sparse { volume / COST_RATIO } else { volume }
         };
-        let pays = groups.iter().map(cost).sum::<usize>() <= wide_volume(distances, cells);
+        let is_cheaper = groups.iter().map(cost).sum::<usize>() <= wide_volume(distances, cells);
         let bytes: usize =
             groups.iter().map(|&full| around(full).volume() * size_of::<u16>()).sum();
         let fits = bytes as u64 <= most_bytes;
-        (pays && fits).then_some(Self { recipe, distances, sampled, cells, groups })
+        (is_cheaper && fits).then_some(Self { recipe, distances, sampled, cells, groups })
     }
 
     /// Computes the fields of all groups that have a surface.
@@ -132,8 +132,8 @@ impl<'a> SprayMaker<'a> {
             standing_out = blocks.wanted;
             let sheets = sheets(distances, &mut blocks).ok()?;
             if sheets.is_none() {
-                // Other drops belong to other groups. Clouds reach one cell beyond `full`, and
-                // interpolation reaches one more cell.
+                // Without sheets, only the drops of this group are computed here. Clouds reach one
+                // cell beyond `full`, and interpolation reaches one more cell.
                 let reach = (drops.spread.reach() + 2) << drops_level;
                 blocks.wanted = standing_out.intersection(&full.grown(reach, reach));
             }
@@ -149,7 +149,8 @@ impl<'a> SprayMaker<'a> {
         if inside.is_empty() {
             return None;
         }
-        // The part must include the cells whose mirror images lie in it.
+        // At walls, the field needs all of `around`, so that it includes the cells whose mirror
+        // images lie in the part.
         let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&around));
         let part =
             if covered { inside.grown(AROUND, AROUND).intersection(&around) } else { around };
@@ -158,10 +159,10 @@ impl<'a> SprayMaker<'a> {
         blocks.wanted = part.intersection(&standing_out);
         if !blocks.wanted.is_empty() {
             let needed = wide_cells(drops_level, blocks.wanted);
-            // Without sheets, shares were computed only around the group's own drops, which is too
-            // little if the bulk has a surface farther away.
-            let made = thin.filter(|thin| thin.shares.block.cells().covers(&needed));
-            let thin = made.map_or_else(|| with_drops(distances, &mut blocks, None), Ok);
+            // Without sheets, the shares were computed only around the group's own drops. If the
+            // bulk has a surface farther away, they are computed again for all needed cells.
+            let large_enough = thin.filter(|thin| thin.shares.block.cells().covers(&needed));
+            let thin = large_enough.map_or_else(|| with_drops(distances, &mut blocks, None), Ok);
             let ThinShares { shares, certainty } = thin.ok()?;
             let near = blocks.refined(outlying, 0).ok()?;
             let shares = blocks.refined(shares, 0).ok()?;
@@ -173,8 +174,8 @@ impl<'a> SprayMaker<'a> {
         Some(DropField { inside, field: Rc::unwrap_or_clone(field.block) })
     }
 
-    /// A box of the cells within reach of a group's particles. Only these cells can be inside the
-    /// fluid because of the group. At walls, the box is larger. `None` if the group has no
+    /// A box of the cells within reach of a group's particles; at walls, a larger box. The group
+    /// can add only cells of this box to the inside of the fluid. `None` if the group has no
     /// particles.
     fn near_particles(&self, full: CellBox) -> Option<CellBox> {
         let DistanceFilters { level, near, least, .. } = *self.distances;
@@ -210,16 +211,16 @@ impl<'a> SprayMaker<'a> {
         let further = i32::from(level > 0);
         let between =
             CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
-        let mut blocks = Blocks::of_few(recipe, sampled, between, FieldUse::Everywhere);
+        let mut blocks = Blocks::of_sparse(recipe, sampled, between, FieldUse::Everywhere);
         let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
         // The other wide cells have no particle nearby, so their samples are 0.
         let padded = |BlockField { block, level, .. }: BlockField| {
-            let mut all = Block::zero(wide);
-            all.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
-            all.mirror(mirror);
-            BlockField::new(all, level)
+            let mut padded = Block::zero(wide);
+            padded.put_part(needed, block.cells(), block.samples(), |_, sample| sample);
+            padded.mirror(mirror);
+            BlockField::new(padded, level)
         };
-        let blocks = Blocks::of_few(recipe, sampled, cells, FieldUse::Everywhere);
+        let blocks = Blocks::of_sparse(recipe, sampled, cells, FieldUse::Everywhere);
         Some(NearGroup { bulk: padded(bulk), outlying: padded(outlying), blocks })
     }
 }

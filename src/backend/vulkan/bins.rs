@@ -21,8 +21,8 @@ use super::resident::ResidentPages;
 
 /// Maximum number of bins in a batch.
 const BIN_BATCH: usize = 4096;
-/// Maximum number of particles in a batch of several bins: drivers reset a device that computes for
-/// about two seconds without a pause.
+/// Maximum number of particles in a batch of several bins. Batches are limited because drivers
+/// reset a device that computes for about two seconds without a pause.
 const PARTICLE_BATCH: usize = 4 << 20;
 
 /// An error of the device or of the host.
@@ -50,7 +50,7 @@ struct BinBatch {
 enum ReadBack {
     /// The pages themselves.
     Pages,
-    /// Only the masks of full cells: the pages stay on the device.
+    /// Only the masks of full cells, because the pages stay on the device.
     FullCells,
 }
 
@@ -75,8 +75,8 @@ impl DeviceFrame {
     ) -> Result<(), DeviceFrameError> {
         let shape = rule.shape();
         self.make_resident(state, bins.keys(), shape);
-        let making = BatchSettings { rule, resident: self.resident(0), read: ReadBack::Pages };
-        self.make_bins(state, bins, range, &making, |lane, batch| {
+        let settings = BatchSettings { rule, resident: self.resident(0), read: ReadBack::Pages };
+        self.make_bins(state, bins, range, &settings, |lane, batch| {
             meter.add(batch.bins.len());
             done.extend(read_pages(lane, batch, bins.keys(), shape)?);
             meter.go_on().map_err(|cancelled| DeviceFrameError::Host(cancelled.into()))
@@ -103,9 +103,9 @@ impl DeviceFrame {
         }
         self.make_resident(state, keys, shape);
         let Some(resident) = self.resident(0) else { return Ok(None) };
-        let making = BatchSettings { rule, resident: Some(resident), read: ReadBack::FullCells };
+        let settings = BatchSettings { rule, resident: Some(resident), read: ReadBack::FullCells };
         let mut infos = Vec::with_capacity(keys.len());
-        self.make_bins(state, bins, 0..keys.len(), &making, |lane, batch| {
+        self.make_bins(state, bins, 0..keys.len(), &settings, |lane, batch| {
             meter.add(batch.bins.len());
             infos.extend(read_infos(lane, &batch, keys)?);
             meter.go_on().map_err(|cancelled| DeviceFrameError::Host(cancelled.into()))
@@ -120,7 +120,7 @@ impl DeviceFrame {
         state: &mut DeviceState,
         bins: &Bins,
         range: Range<usize>,
-        making: &BatchSettings<'_>,
+        settings: &BatchSettings<'_>,
         finish: impl FnMut(&mut Lane, BinBatch) -> Result<(), DeviceFrameError>,
     ) -> Result<(), DeviceFrameError> {
         let room = state.batch_bytes;
@@ -129,9 +129,9 @@ impl DeviceFrame {
         run_batches(
             &mut state.lanes,
             |lane| {
-                let batch = bin_batch(bins, next..range.end, making.rule.shape(), room);
+                let batch = bin_batch(bins, next..range.end, settings.rule.shape(), room);
                 next = batch.end;
-                let start = || self.start_bins(lane, bins, batch.clone(), making);
+                let start = || self.start_bins(lane, bins, batch.clone(), settings);
                 (!batch.is_empty()).then(start).transpose()
             },
             |_, _| Ok(()),
@@ -144,7 +144,7 @@ impl DeviceFrame {
         lane: &mut Lane,
         bins: &Bins,
         range: Range<usize>,
-        making: &BatchSettings<'_>,
+        settings: &BatchSettings<'_>,
     ) -> Result<BinBatch, DeviceFrameError> {
         let mut entries = Vec::with_capacity(range.len());
         let mut first = 0;
@@ -174,7 +174,7 @@ impl DeviceFrame {
 
         lane.send(&staged, &inputs)?;
         let [entries, records] = [part(&inputs, &entries_at), part(&inputs, &records_at)];
-        Ok(self.compute_bins(lane, range, &entries, &records, making)?)
+        Ok(self.compute_bins(lane, range, &entries, &records, settings)?)
     }
 
     /// Records and submits the computation of the pages of `bins`. If only the masks of full cells
@@ -185,9 +185,9 @@ impl DeviceFrame {
         bins: Range<usize>,
         entries: &View,
         records: &View,
-        making: &BatchSettings<'_>,
+        settings: &BatchSettings<'_>,
     ) -> Result<BinBatch, VulkanError> {
-        let BatchSettings { rule, resident, read } = making;
+        let BatchSettings { rule, resident, read } = settings;
         let (device, pipelines, shape) = (&self.device, &self.pipelines, rule.shape());
         let page_bytes = page_bytes(shape);
         let bytes = bins.len() as u64 * page_bytes;
@@ -243,7 +243,7 @@ impl DeviceFrame {
         let resident = self.resident(0);
         let stays = resident.is_some() && !self.device.shares_host_memory();
         let read = if stays { ReadBack::FullCells } else { ReadBack::Pages };
-        let making = BatchSettings { rule, resident, read };
+        let settings = BatchSettings { rule, resident, read };
         let most = BIN_BATCH.min((state.batch_bytes / (2 * page_bytes(shape))) as usize).max(1);
         let mut batches = bins.runs.iter().flat_map(|(run, records)| {
             bins.parts(run.clone(), most, PARTICLE_BATCH)
@@ -270,7 +270,7 @@ impl DeviceFrame {
                 unsafe { staged.write(0, &entries) };
                 lane.send(&staged, &inputs)?;
                 let records = records.whole();
-                self.compute_bins(lane, range, &inputs, &records, &making).map(Some)
+                self.compute_bins(lane, range, &inputs, &records, &settings).map(Some)
             },
             |_, _| Ok(()),
             |lane, batch| {
@@ -322,7 +322,7 @@ fn read_pages(
     keys: &[MortonKey],
     shape: PageShape,
 ) -> Result<Pages, VulkanError> {
-    // The copy is submitted only now, so until now its queue was free for the upload of the next
+    // The download is submitted only now. Until now, its queue was free for the upload of the next
     // batch.
     lane.download.stage("download", 2 * batch.pages.bytes());
     lane.download.copy(&batch.pages, &batch.read);
@@ -344,7 +344,7 @@ pub(super) fn bin_bytes(count: usize, shape: PageShape) -> u64 {
     2 * (8 * count as u64 + page_bytes(shape))
 }
 
-/// Returns the range of bins that fit into a batch: at least one bin.
+/// Returns the first bins of `range` that fit into a batch: at least one bin, if there are any.
 fn bin_batch(bins: &Bins, range: Range<usize>, shape: PageShape, room: u64) -> Range<usize> {
     let mut bytes = 0;
     let mut end = range.start;

@@ -57,7 +57,7 @@ impl DeviceFrame {
             let end_bytes = u64::from(totals.vertices) * size_of::<[u16; 2]>() as u64;
             lane.download.stage("collect", 2 * (tile_bytes + end_bytes));
             let [new_tiles, new_ends] =
-                [lane.known("tiles", tile_bytes), lane.known("ends", end_bytes)];
+                [lane.existing("tiles", tile_bytes), lane.existing("ends", end_bytes)];
             tiles.append(&self.device, &mut lane.download, &new_tiles)?;
             ends.append(&self.device, &mut lane.download, &new_ends)?;
             written = Some(lane.download.submit(lane.compute.last())?);
@@ -87,7 +87,7 @@ impl DeviceFrame {
         take: &mut TakeBatch<'_, E>,
     ) -> Result<(), E> {
         self.make_lanes(state)?;
-        let constants = self.kept().constants.of(surfaces, &mut state.lanes[0].compute)?;
+        let constants = self.reusable().constants.of(surfaces, &mut state.lanes[0].compute)?;
         let DeviceState { lanes, batch_bytes, .. } = state;
         let residents = self.residents().clone();
         let work = Contouring { frame: self, surfaces, constants, residents, bytes: *batch_bytes };
@@ -177,11 +177,11 @@ impl Contouring<'_> {
         regions: &[CellBox],
         next: &mut usize,
     ) -> Result<Option<BlockBatch>, VulkanError> {
-        let left = &regions[*next..];
-        if left.is_empty() {
+        let remaining = &regions[*next..];
+        if remaining.is_empty() {
             return Ok(None);
         }
-        let mut batch = BlockBatch::new(self, left);
+        let mut batch = BlockBatch::new(self, remaining);
         *next += batch.regions.len();
         match &self.surfaces.recipe.filters {
             Filters::Paper(_) => self.mesh_regions(lane, &batch)?,
@@ -192,8 +192,8 @@ impl Contouring<'_> {
         Ok(Some(batch))
     }
 
-    /// Continues a batch with wide cells: once these are computed, chooses the regions to mesh, and
-    /// meshes them.
+    /// Continues a batch that has wide cells: waits until the wide cells are computed, chooses the
+    /// regions to mesh, and meshes them.
     fn go_on(&self, lane: &mut Lane, batch: &mut BlockBatch) -> Result<(), VulkanError> {
         if batch.wide.is_none() {
             return Ok(());
@@ -316,8 +316,9 @@ impl Contouring<'_> {
         })
     }
 
-    /// Waits for a batch, and passes it to `take`. A batch with more vertices than its buffers can
-    /// hold is meshed again, in parts if it exceeds its share of the memory.
+    /// Waits for a batch, and passes it to `take`. If the batch has more vertices than its buffers
+    /// can hold, it is meshed again: with larger buffers if they fit into the memory for a batch,
+    /// and otherwise as two smaller batches.
     fn finish<E: From<VulkanError>>(
         &self,
         lane: &mut Lane,
@@ -329,7 +330,7 @@ impl Contouring<'_> {
             return take(self, lane, &batch, &[BlockTally::default()]);
         }
         lane.compute.wait()?;
-        let read = lane.known("tallies read", ((count + 1) * size_of::<BlockTally>()) as u64);
+        let read = lane.existing("tallies read", ((count + 1) * size_of::<BlockTally>()) as u64);
         // SAFETY: the batch that writes the buffer has finished, and the lane has not begun another
         // batch.
         let begins: Vec<BlockTally> = unsafe { read.read(0, count + 1) };
@@ -362,7 +363,7 @@ impl Contouring<'_> {
     ) -> Result<Vec<Option<BlockMesh>>, VulkanError> {
         let device = &self.frame.device;
         let totals = begins[batch.meshed.len()];
-        // A lane that has not meshed any regions yet has no buffers to read.
+        // If the lane has not meshed any regions yet, it has no buffers to read.
         if totals.tiles == 0 {
             return Ok(vec![None; batch.regions.len()]);
         }
@@ -382,7 +383,7 @@ impl Contouring<'_> {
             ("ends", end_bytes, &ends),
             ("falls", fall_bytes, &falls),
         ] {
-            let from = lane.known(name, bytes);
+            let from = lane.existing(name, bytes);
             lane.download.copy(&from, to);
         }
         lane.download.submit(lane.compute.last())?;

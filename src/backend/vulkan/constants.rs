@@ -21,9 +21,10 @@ pub(super) struct Constants {
 /// Tables that are the same for all frames.
 #[derive(Debug, Clone)]
 pub(super) struct Tables {
-    /// Table of depths, in standard deviations, for each share of the plateau.
+    /// Table of the depth, in multiples of the standard deviation, for each share of the plateau.
     pub(super) depths: View,
-    /// Table of the distance from the centre of a drop for each share.
+    /// Table of the distance from the centre of a drop, in multiples of the drop's standard
+    /// deviation, for each share.
     pub(super) away: View,
     /// Table of the number of triangles for each case.
     pub(super) lengths: View,

@@ -32,8 +32,8 @@ const BLOCK_ROOM: u64 = 6144;
 /// Maximum number of vertices in a block.
 const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 
-/// Number of fields on wide cells that exist at once: clouds, two surfaces and their difference,
-/// another field, and a temporary.
+/// Number of fields on wide cells that exist at once: the clouds, which become the distances of
+/// outlying particles; two surfaces and their difference; the spread distances; and a temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
 /// Number of fields on wide cells that sheets need: the clouds, their smoothed density, and a
 /// temporary.
@@ -45,6 +45,7 @@ pub(super) const DROPS_FIELDS: usize = 5;
 /// distance by which particles lie outside the surface, the shares of drops, and the certainty of
 /// sheets.
 pub(super) const PART_FIELDS: usize = 3;
+
 /// The regions of a batch in a lane.
 pub(super) struct BlockBatch {
     pub(super) regions: Vec<CellBox>,
@@ -60,8 +61,8 @@ pub(super) struct BlockBatch {
 }
 
 impl BlockBatch {
-    /// Makes a batch from the first of `regions`: at least one region, and as many as fit even if
-    /// particles stand out everywhere.
+    /// Makes a batch from the first regions of `regions`: at least one region, and further regions
+    /// while the batch fits into memory even if particles stand out everywhere.
     pub(super) fn new(work: &Contouring<'_>, regions: &[CellBox]) -> Self {
         let limit = work.frame.device.limits().storage_range;
         let sources = work.sources();

@@ -19,12 +19,13 @@ use crate::vulkan::{Batch, View, VulkanError};
 use super::constants::FrameConstants;
 use super::pipelines::Pipelines;
 
-/// The samples of a batch's blocks; samples within `margin` of a block's faces are unknown.
+/// The samples of a batch's blocks. The samples within `margin` cells of a block's faces are
+/// unknown.
 pub(super) struct PaddedSamples {
     pub(super) samples: View,
     pub(super) margin: i32,
     /// The index of the [`PaddedBlocks`] to which the samples belong.
-    pub(super) of: usize,
+    pub(super) grid: usize,
 }
 
 /// The blocks of a batch whose cells have the same width, and buffers for their fields.
@@ -61,56 +62,57 @@ pub(super) struct PaddedFields<'a> {
 }
 
 impl PaddedFields<'_> {
-    /// Gathers the samples of the grid `of` from pages. The recipe uses these samples after the
-    /// samples of earlier calls.
-    pub(super) fn gather(&mut self, of: usize, pages: &DevicePages) -> Result<(), VulkanError> {
-        let samples = self.take(of);
+    /// Gathers the samples of the grid number `grid` from pages. The recipe uses these samples
+    /// after the samples of earlier calls.
+    pub(super) fn gather(&mut self, grid: usize, pages: &DevicePages) -> Result<(), VulkanError> {
+        let samples = self.take_buffer(grid);
         self.commands.stage("gather", pages.pages.bytes() + samples.bytes());
-        gather(self.commands, &self.pipelines.gather, &self.grids[of].blocks, pages, &samples)?;
-        self.gathered.push_back(Rc::new(PaddedSamples { samples, margin: 0, of }));
+        gather(self.commands, &self.pipelines.gather, &self.grids[grid].blocks, pages, &samples)?;
+        self.gathered.push_back(Rc::new(PaddedSamples { samples, margin: 0, grid }));
         Ok(())
     }
 
-    fn take(&mut self, of: usize) -> View {
-        self.grids[of].free.pop().expect("a recipe needs no more fields than there are")
+    /// Takes an unused buffer for a field on the grid number `grid`.
+    fn take_buffer(&mut self, grid: usize) -> View {
+        self.grids[grid].free.pop().expect("a recipe needs no more fields than there are")
     }
 
-    /// Returns a buffer for reuse, unless another field refers to it.
-    fn give(&mut self, field: Rc<PaddedSamples>) {
+    /// Marks the buffer of a field as unused, unless another field refers to the buffer.
+    fn recycle(&mut self, field: Rc<PaddedSamples>) {
         if let Some(field) = Rc::into_inner(field) {
-            self.grids[field.of].free.push(field.samples);
+            self.grids[field.grid].free.push(field.samples);
         }
     }
 
-    fn stage(&mut self, name: &'static str, passes: u64, of: usize) {
-        self.commands.stage(name, passes * 8 * u64::from(self.grids[of].blocks.words));
+    fn stage(&mut self, name: &'static str, passes: u64, grid: usize) {
+        self.commands.stage(name, passes * 8 * u64::from(self.grids[grid].blocks.words));
     }
 
-    fn mirror(&self, of: usize) -> Option<Mirror> {
-        self.mirror.map(|mirror| mirror.in_wider_cells(self.grids[of].level))
+    fn mirror(&self, grid: usize) -> Option<Mirror> {
+        self.mirror.map(|mirror| mirror.in_wider_cells(self.grids[grid].level))
     }
 
-    /// Interpolates the field of another grid for the blocks of the grid `of`.
+    /// Interpolates the field of another grid for the blocks of the grid number `grid`.
     fn refined_for(
         &mut self,
         wide: Rc<PaddedSamples>,
-        of: usize,
+        grid: usize,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        self.stage("distances", 1, of);
-        let to = self.take(of);
-        let grids = [&self.grids[wide.of].blocks, &self.grids[of].blocks];
-        let level = self.grids[wide.of].level - self.grids[of].level;
-        let (within, mirror) = (self.within(of, wide.of), self.mirror(wide.of));
+        self.stage("distances", 1, grid);
+        let to = self.take_buffer(grid);
+        let grids = [&self.grids[wide.grid].blocks, &self.grids[grid].blocks];
+        let level = self.grids[wide.grid].level - self.grids[grid].level;
+        let (within, mirror) = (self.within(grid, wide.grid), self.mirror(wide.grid));
         let views = [&wide.samples, &to];
         refine(self.commands, &self.pipelines.distance, grids, &within, level, mirror, views)?;
-        self.give(wide);
-        Ok(Rc::new(PaddedSamples { samples: to, margin: 0, of }))
+        self.recycle(wide);
+        Ok(Rc::new(PaddedSamples { samples: to, margin: 0, grid }))
     }
 
-    /// Maps each block of the grid `of` to the number of the block of the grid `other` that
-    /// contains it.
-    fn within(&self, of: usize, other: usize) -> View {
-        let mut known = self.grids[of].within.iter();
+    /// Maps each block of the grid number `grid` to the block of the grid number `other` that
+    /// contains it, by its number.
+    fn within(&self, grid: usize, other: usize) -> View {
+        let mut known = self.grids[grid].within.iter();
         let (_, numbers) = known
             .find(|(known, _)| *known == other)
             .expect("a field is refined from a grid that contains it");
@@ -127,7 +129,7 @@ impl Fields for PaddedFields<'_> {
             .gathered
             .pop_front()
             .expect("a recipe requests no more samples than were gathered");
-        debug_assert_eq!(level, self.grids[field.of].level);
+        debug_assert_eq!(level, self.grids[field.grid].level);
         Ok(field)
     }
 
@@ -145,21 +147,21 @@ impl Fields for PaddedFields<'_> {
         field: Rc<PaddedSamples>,
         weights: &Weights,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = field.of;
-        self.stage("blur", 3, of);
-        let to = self.take(of);
+        let grid = field.grid;
+        self.stage("blur", 3, grid);
+        let to = self.take_buffer(grid);
         let own = Rc::try_unwrap(field);
-        let (from, through, margin) = match &own {
+        let (from, temporary, margin) = match &own {
             Ok(own) => (&own.samples, own.samples.clone(), own.margin),
-            Err(shared) => (&shared.samples, self.take(of), shared.margin),
+            Err(shared) => (&shared.samples, self.take_buffer(grid), shared.margin),
         };
         let filter = (weights, &self.constants.weights[weights]);
-        let views = [from, &through, &to];
-        let mirror = self.mirror(of);
-        let blocks = &self.grids[of].blocks;
+        let views = [from, &temporary, &to];
+        let mirror = self.mirror(grid);
+        let blocks = &self.grids[grid].blocks;
         blur(self.commands, &self.pipelines.blur, blocks, filter, mirror, margin, views)?;
-        self.grids[of].free.push(through);
-        Ok(Rc::new(PaddedSamples { samples: to, margin: margin + weights.reach(), of }))
+        self.grids[grid].free.push(temporary);
+        Ok(Rc::new(PaddedSamples { samples: to, margin: margin + weights.reach(), grid }))
     }
 
     fn lost(
@@ -168,13 +170,13 @@ impl Fields for PaddedFields<'_> {
         smooth: &Rc<PaddedSamples>,
         iso: Isovalue,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = dif.of;
-        self.stage("detail", 2, of);
-        let kept = self.take(of);
+        let grid = dif.grid;
+        self.stage("detail", 2, grid);
+        let kept = self.take_buffer(grid);
         let views = [&dif.samples, &smooth.samples, &kept];
-        lost(self.commands, &self.pipelines.lost, &self.grids[of].blocks, iso, views)?;
-        self.give(dif);
-        Ok(Rc::new(PaddedSamples { samples: kept, margin: smooth.margin, of }))
+        lost(self.commands, &self.pipelines.lost, &self.grids[grid].blocks, iso, views)?;
+        self.recycle(dif);
+        Ok(Rc::new(PaddedSamples { samples: kept, margin: smooth.margin, grid }))
     }
 
     fn greater(
@@ -182,9 +184,9 @@ impl Fields for PaddedFields<'_> {
         field: Rc<PaddedSamples>,
         other: Rc<PaddedSamples>,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = field.of;
-        self.stage("detail", 2, of);
-        let blocks = &self.grids[of].blocks;
+        let grid = field.grid;
+        self.stage("detail", 2, grid);
+        let blocks = &self.grids[grid].blocks;
         raise(self.commands, &self.pipelines.greater, blocks, &other.samples, &field.samples)?;
         Ok(field)
     }
@@ -194,14 +196,14 @@ impl Fields for PaddedFields<'_> {
         by: &Bulk,
         clouds: Rc<PaddedSamples>,
     ) -> Result<Depths<Rc<PaddedSamples>>, VulkanError> {
-        let of = clouds.of;
+        let grid = clouds.grid;
         let mut share = |width: &Width| self.blur(Rc::clone(&clouds), &width.weights);
         let [narrow, middle, wide] = &by.widths;
         let shares = [share(narrow)?, share(middle)?, share(wide)?];
-        self.stage("distances", 3, of);
+        self.stage("distances", 3, grid);
         let margin = shares.iter().map(|share| share.margin).max().unwrap_or(0);
         let [narrow, middle, wide] = shares.map(|share| share.samples.clone());
-        let blocks = &self.grids[of].blocks;
+        let blocks = &self.grids[grid].blocks;
         let views = [&narrow, &middle, &wide];
         depths(
             self.commands,
@@ -211,7 +213,7 @@ impl Fields for PaddedFields<'_> {
             &self.constants.tables.depths,
             views,
         )?;
-        let padded = |samples| Rc::new(PaddedSamples { samples, margin, of });
+        let padded = |samples| Rc::new(PaddedSamples { samples, margin, grid });
         Ok(Depths { calm: padded(wide), fine: padded(narrow), apart: padded(middle) })
     }
 
@@ -222,16 +224,16 @@ impl Fields for PaddedFields<'_> {
         Depths { calm, fine, apart }: Depths<Rc<PaddedSamples>>,
         near: &Rc<PaddedSamples>,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = calm.of;
-        self.stage("distances", 4, of);
+        let grid = calm.grid;
+        self.stage("distances", 4, grid);
         let views = [&calm.samples, &fine.samples, &apart.samples, &near.samples];
-        let PaddedBlocks { blocks, marks, .. } = &self.grids[of];
+        let PaddedBlocks { blocks, marks, .. } = &self.grids[grid];
         let marks = marks.as_ref().expect("blocks of the bulk have marks");
         mixed(self.commands, &self.pipelines.distance, blocks, by, marks, views)?;
         let (samples, margin) = (calm.samples.clone(), apart.margin.max(near.margin));
-        self.give(fine);
-        self.give(apart);
-        Ok(Rc::new(PaddedSamples { samples, margin, of }))
+        self.recycle(fine);
+        self.recycle(apart);
+        Ok(Rc::new(PaddedSamples { samples, margin, grid }))
     }
 
     fn outlying(
@@ -240,11 +242,11 @@ impl Fields for PaddedFields<'_> {
         clouds: Rc<PaddedSamples>,
         by: (u16, &StandsOut),
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = calm.of;
-        self.stage("distances", 3, of);
+        let grid = calm.grid;
+        self.stage("distances", 3, grid);
         let views = [&calm.samples, &fine.samples, &clouds.samples];
-        outlying(self.commands, &self.pipelines.distance, &self.grids[of].blocks, by, views)?;
-        Ok(Rc::new(PaddedSamples { samples: clouds.samples.clone(), margin: calm.margin, of }))
+        outlying(self.commands, &self.pipelines.distance, &self.grids[grid].blocks, by, views)?;
+        Ok(Rc::new(PaddedSamples { samples: clouds.samples.clone(), margin: calm.margin, grid }))
     }
 
     fn spread(
@@ -252,16 +254,16 @@ impl Fields for PaddedFields<'_> {
         field: Rc<PaddedSamples>,
         reach: i32,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = field.of;
-        self.stage("distances", 3, of);
-        let (to, through) = (self.take(of), self.take(of));
-        let window = TapWindow { reach, mirror: self.mirror(of), margin: field.margin };
-        let views = [&field.samples, &through, &to];
-        spread(self.commands, &self.pipelines.distance, &self.grids[of].blocks, window, views)?;
-        self.grids[of].free.push(through);
+        let grid = field.grid;
+        self.stage("distances", 3, grid);
+        let (to, temporary) = (self.take_buffer(grid), self.take_buffer(grid));
+        let window = TapWindow { reach, mirror: self.mirror(grid), margin: field.margin };
+        let views = [&field.samples, &temporary, &to];
+        spread(self.commands, &self.pipelines.distance, &self.grids[grid].blocks, window, views)?;
+        self.grids[grid].free.push(temporary);
         let margin = field.margin + reach;
-        self.give(field);
-        Ok(Rc::new(PaddedSamples { samples: to, margin, of }))
+        self.recycle(field);
+        Ok(Rc::new(PaddedSamples { samples: to, margin, grid }))
     }
 
     /// Does nothing, because the caller has already probed the regions.
@@ -305,13 +307,13 @@ impl Fields for PaddedFields<'_> {
         by: Rc<PaddedSamples>,
         bits: u32,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = field.of;
-        self.stage("drops", 2, of);
+        let grid = field.grid;
+        self.stage("drops", 2, grid);
         let views = [&field.samples, &by.samples];
-        quotient(self.commands, &self.pipelines.distance, &self.grids[of].blocks, bits, views)?;
+        quotient(self.commands, &self.pipelines.distance, &self.grids[grid].blocks, bits, views)?;
         let (samples, margin) = (field.samples.clone(), by.margin);
-        self.give(by);
-        Ok(Rc::new(PaddedSamples { samples, margin, of }))
+        self.recycle(by);
+        Ok(Rc::new(PaddedSamples { samples, margin, grid }))
     }
 
     fn may_hold(&mut self, _: &Sheets, _: &Rc<PaddedSamples>) -> bool {
@@ -324,11 +326,11 @@ impl Fields for PaddedFields<'_> {
         smooth: Rc<PaddedSamples>,
         scale: u32,
     ) -> Result<Loose<Rc<PaddedSamples>>, VulkanError> {
-        let of = clouds.of;
-        self.stage("sheets", 4, of);
+        let grid = clouds.grid;
+        self.stage("sheets", 4, grid);
         let views = [&clouds.samples, &smooth.samples];
-        loose(self.commands, &self.pipelines.loose, &self.grids[of].blocks, scale, views)?;
-        let clouds = PaddedSamples { samples: clouds.samples.clone(), margin: smooth.margin, of };
+        loose(self.commands, &self.pipelines.loose, &self.grids[grid].blocks, scale, views)?;
+        let clouds = PaddedSamples { samples: clouds.samples.clone(), margin: smooth.margin, grid };
         Ok(Loose { clouds: Rc::new(clouds), weights: Some(smooth) })
     }
 
@@ -338,19 +340,19 @@ impl Fields for PaddedFields<'_> {
         density: Rc<PaddedSamples>,
         level: u32,
     ) -> Result<Option<SheetFields<Rc<PaddedSamples>>>, VulkanError> {
-        let of = self.drops;
-        debug_assert_eq!(level, self.grids[of].level);
-        let density = self.refined_for(density, of)?;
-        self.stage("sheets", 3, of);
+        let grid = self.drops;
+        debug_assert_eq!(level, self.grids[grid].level);
+        let density = self.refined_for(density, grid)?;
+        self.stage("sheets", 3, grid);
         let numbers = &sheets.numbers;
-        let mirror = self.mirror(of);
-        let (shares, certainty) = (self.take(of), self.take(of));
+        let mirror = self.mirror(grid);
+        let (shares, certainty) = (self.take_buffer(grid), self.take_buffer(grid));
         let views = [&density.samples, &shares, &certainty];
-        let blocks = &self.grids[of].blocks;
+        let blocks = &self.grids[grid].blocks;
         make_sheets(self.commands, &self.pipelines.sheets, blocks, numbers, mirror, views)?;
         let margin = density.margin + numbers.step;
-        self.give(density);
-        let padded = |samples| Rc::new(PaddedSamples { samples, margin, of });
+        self.recycle(density);
+        let padded = |samples| Rc::new(PaddedSamples { samples, margin, grid });
         Ok(Some(SheetFields { shares: padded(shares), certainty: padded(certainty) }))
     }
 
@@ -360,14 +362,14 @@ impl Fields for PaddedFields<'_> {
         sheets: Rc<PaddedSamples>,
         certainty: &Rc<PaddedSamples>,
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        let of = drops.of;
-        self.stage("sheets", 3, of);
+        let grid = drops.grid;
+        self.stage("sheets", 3, grid);
         let views = [&sheets.samples, &certainty.samples, &drops.samples];
-        blend(self.commands, &self.pipelines.blend, &self.grids[of].blocks, views)?;
+        blend(self.commands, &self.pipelines.blend, &self.grids[grid].blocks, views)?;
         let margin = drops.margin.max(certainty.margin);
         let samples = drops.samples.clone();
-        self.give(sheets);
-        Ok(Rc::new(PaddedSamples { samples, margin, of }))
+        self.recycle(sheets);
+        Ok(Rc::new(PaddedSamples { samples, margin, grid }))
     }
 
     fn joined(
@@ -377,10 +379,10 @@ impl Fields for PaddedFields<'_> {
         ThinShares { shares, certainty }: ThinShares<Rc<PaddedSamples>>,
         by: (&Drops, &StandsOut),
     ) -> Result<Rc<PaddedSamples>, VulkanError> {
-        self.stage("drops", 3, near.of);
+        self.stage("drops", 3, near.grid);
         let views = [&bulk.samples, &near.samples, &shares.samples];
-        let blocks = [near.of, bulk.of].map(|of| &self.grids[of].blocks);
-        let homes = self.within(near.of, bulk.of);
+        let blocks = [near.grid, bulk.grid].map(|grid| &self.grids[grid].blocks);
+        let homes = self.within(near.grid, bulk.grid);
         let away = &self.constants.tables.away;
         let certainty = certainty.as_ref().map(|certainty| &certainty.samples);
         let tables = [&homes, away];

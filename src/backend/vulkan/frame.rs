@@ -32,7 +32,7 @@ pub(super) struct FrameBuffers {
 pub(super) struct DeviceFrame {
     pub(super) device: Device,
     pub(super) pipelines: Arc<Pipelines>,
-    pub(super) kept: Arc<Mutex<FrameBuffers>>,
+    pub(super) reusable: Arc<Mutex<FrameBuffers>>,
     pub(super) state: Mutex<DeviceState>,
     /// Fields whose pages are on the device, by level: the cells of level k are 2^k times as wide
     /// as the grid's cells.
@@ -44,11 +44,11 @@ impl DeviceFrame {
     pub(super) fn new(
         device: Device,
         pipelines: Arc<Pipelines>,
-        kept: Arc<Mutex<FrameBuffers>>,
+        reusable: Arc<Mutex<FrameBuffers>>,
         state: DeviceState,
     ) -> Self {
         let (residents, reader) = (Mutex::default(), PageReader::default());
-        Self { device, pipelines, kept, state: Mutex::new(state), residents, reader }
+        Self { device, pipelines, reusable, state: Mutex::new(state), residents, reader }
     }
 
     pub(super) fn state(&self) -> MutexGuard<'_, DeviceState> {
@@ -78,17 +78,17 @@ impl DeviceFrame {
         residents.push(Arc::new(resident));
     }
 
-    pub(super) fn kept(&self) -> MutexGuard<'_, FrameBuffers> {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    pub(super) fn reusable(&self) -> MutexGuard<'_, FrameBuffers> {
+        self.reusable.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Takes existing lanes if they are not too large for this frame, or makes new ones.
     pub(super) fn make_lanes(&self, state: &mut DeviceState) -> Result<(), VulkanError> {
         while state.lanes.len() < LANES {
-            let mut kept = self.kept();
+            let mut reusable = self.reusable();
             // Lanes are reused in order, because the first lane has the largest buffers.
-            let known = (!kept.lanes.is_empty()).then(|| kept.lanes.remove(0));
-            drop(kept);
+            let known = (!reusable.lanes.is_empty()).then(|| reusable.lanes.remove(0));
+            drop(reusable);
             let fitting = known.filter(|lane| lane.bytes() <= 2 * state.batch_bytes);
             let lane = fitting.map_or_else(|| Lane::new(&self.device), Ok)?;
             state.lanes.push(lane);
@@ -110,10 +110,10 @@ impl DeviceFrame {
             return;
         }
         self.forget_residents();
-        // The allocation is tried only once: if the bins come in several runs, the pages of all
-        // runs together do not fit.
+        // A buffer is allocated only for the first run of bins. If there are several runs, the
+        // pages do not stay on the device, because no buffer contains the pages of all runs.
         let most = std::mem::take(&mut state.resident_bytes);
-        if let Some(pages) = self.room(state, keys.len() as u64 * page_bytes(shape), most) {
+        if let Some(pages) = self.page_buffer(state, keys.len() as u64 * page_bytes(shape), most) {
             let numbers = keys.iter().map(|key| key.coord()).zip(0..).collect();
             state.wide_bytes = most - pages.bytes().min(most);
             self.add_resident(0, ResidentPages { pages, numbers });
@@ -122,7 +122,7 @@ impl DeviceFrame {
 
     /// A buffer of at least `bytes` for the pages of the next field; `None` if `bytes` exceeds
     /// `most`, or if the memory cannot be allocated.
-    pub(super) fn room(
+    pub(super) fn page_buffer(
         &self,
         state: &mut DeviceState,
         bytes: u64,
@@ -132,7 +132,7 @@ impl DeviceFrame {
         if bytes > most {
             return None;
         }
-        let known = self.kept().pages.pop_front();
+        let known = self.reusable().pages.pop_front();
         let fitting = known.filter(|pages| (bytes..=most).contains(&pages.bytes()));
         let with_headroom =
             (bytes + bytes / HEADROOM).min(most).min(self.device.limits().allocation).max(bytes);
@@ -147,29 +147,29 @@ impl DeviceFrame {
     }
 
     /// Recovers from a failure. If memory is exhausted, the work continues without fields that stay
-    /// on the device, then in smaller batches. If this does not help, or after any other kind of
-    /// failure, the work continues on the CPU.
+    /// on the device, and after further failures in smaller batches. If batches are already
+    /// minimal, or after any other kind of failure, the work continues on the CPU.
     pub(super) fn recover(&self, state: &mut DeviceState, error: &VulkanError) {
         state.lanes.clear();
-        *self.kept() = FrameBuffers::default();
-        let forgotten = self.forget_residents();
-        state.recover(error, forgotten);
+        *self.reusable() = FrameBuffers::default();
+        let had_residents = self.forget_residents();
+        state.recover(error, had_residents);
     }
 }
 
 impl Drop for DeviceFrame {
-    /// Keeps buffers for the next frame.
+    /// Keeps the lanes and the page buffers for the next frame, unless the CPU took over.
     fn drop(&mut self) {
         let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);
         if state.on_cpu {
             return;
         }
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        kept.lanes.append(&mut state.lanes);
-        kept.lanes.truncate(LANES);
+        let mut reusable = self.reusable.lock().unwrap_or_else(PoisonError::into_inner);
+        reusable.lanes.append(&mut state.lanes);
+        reusable.lanes.truncate(LANES);
         let residents = self.residents.get_mut().unwrap_or_else(PoisonError::into_inner);
         if !residents.is_empty() {
-            kept.pages = residents.iter().map(|resident| Arc::clone(&resident.pages)).collect();
+            reusable.pages = residents.iter().map(|resident| Arc::clone(&resident.pages)).collect();
         }
     }
 }
@@ -193,10 +193,10 @@ pub(super) struct DeviceState {
 }
 
 impl DeviceState {
-    fn recover(&mut self, error: &VulkanError, forgotten: bool) {
+    fn recover(&mut self, error: &VulkanError, had_residents: bool) {
         let exhausted = matches!(error, VulkanError::OutOfMemory { .. });
         (self.resident_bytes, self.wide_bytes) = (0, 0);
-        if exhausted && forgotten {
+        if exhausted && had_residents {
             self.warn(format!("{error}; sending the field again for each batch"));
         } else if exhausted && self.batch_bytes / 2 >= SMALLEST_BATCH {
             self.batch_bytes /= 2;

@@ -125,7 +125,7 @@ impl LevelBlocks {
         }));
     }
 
-    /// Reserves space for all uploaded data, with `page_bytes` per page of samples.
+    /// Reserves space for all data to upload. A page of samples takes `page_bytes` bytes.
     pub(super) fn place(&self, layout: &mut BufferLayout, page_bytes: u64) -> Places {
         Places {
             blocks: layout.place(size_of_val(&self.blocks[..]) as u64),

@@ -10,8 +10,8 @@ use crate::vulkan::{
     ALIGNMENT, Batch, Buffer, BufferKind, Device, Queue, Ticket, View, VulkanError,
 };
 
-/// Buffers are larger than requested by a fraction 1 / `HEADROOM`, because the next batch may be
-/// slightly larger.
+/// Buffers are larger than requested by a fraction of 1 / `HEADROOM`, because the next batch may
+/// need slightly larger buffers.
 pub(super) const HEADROOM: u64 = 4;
 
 /// The command batches and the buffers for one batch of work. The next batch of work reuses them.
@@ -42,10 +42,10 @@ impl Lane {
         &mut self,
         device: &Device,
         name: &'static str,
-        place: BufferKind,
+        kind: BufferKind,
         bytes: u64,
     ) -> Result<View, VulkanError> {
-        self.numbered((name, 0), device, place, bytes)
+        self.numbered((name, 0), device, kind, bytes)
     }
 
     /// Returns buffers for `count` fields of the same kind, each `bytes` bytes long.
@@ -65,7 +65,7 @@ impl Lane {
         &mut self,
         name: Name,
         device: &Device,
-        place: BufferKind,
+        kind: BufferKind,
         bytes: u64,
     ) -> Result<View, VulkanError> {
         let bytes = bytes.next_multiple_of(4).max(4);
@@ -73,13 +73,13 @@ impl Lane {
             self.buffers.remove(&name);
             let with_headroom =
                 (bytes + bytes / HEADROOM).min(device.limits().allocation).max(bytes);
-            self.buffers.insert(name, device.buffer(place, with_headroom)?);
+            self.buffers.insert(name, device.buffer(kind, with_headroom)?);
         }
         Ok(self.buffers[&name].part(0, bytes))
     }
 
-    /// The first `bytes` of an existing buffer of this lane.
-    pub(super) fn known(&self, name: &'static str, bytes: u64) -> View {
+    /// A view of the first `bytes` bytes of an existing buffer of this lane.
+    pub(super) fn existing(&self, name: &'static str, bytes: u64) -> View {
         self.buffers[&(name, 0)].part(0, bytes)
     }
 
@@ -110,6 +110,7 @@ pub(super) struct BufferLayout {
 }
 
 impl BufferLayout {
+    /// Reserves `bytes` bytes, but at least one word, and returns their range.
     pub(super) fn place(&mut self, bytes: u64) -> Range<u64> {
         let begin = self.bytes;
         self.bytes = (begin + bytes.max(4)).next_multiple_of(ALIGNMENT);
@@ -121,9 +122,10 @@ pub(super) fn part(view: &View, range: &Range<u64>) -> View {
     view.part(range.start, range.end - range.start)
 }
 
-/// Keeps all lanes busy: `start` gives the next batch to an idle lane until there are no more
-/// batches, `go_on` continues a batch after its first part has finished, and `finish` takes the
-/// batches in the order in which they were started.
+/// Keeps all lanes busy. `start` starts the next batch on an idle lane; `None` means that there are
+/// no more batches. `go_on` starts the second part of a batch, if it has one. `finish` waits for a
+/// batch, and takes its results. Both functions receive the batches in the order in which they were
+/// started.
 pub(super) fn run_batches<T, E>(
     lanes: &mut [Lane],
     mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,
@@ -131,17 +133,17 @@ pub(super) fn run_batches<T, E>(
     mut finish: impl FnMut(&mut Lane, T) -> Result<(), E>,
 ) -> Result<(), E> {
     let mut idle: Vec<usize> = (0..lanes.len()).collect();
-    let (mut begun, mut gone_on) = (VecDeque::new(), VecDeque::new());
+    let (mut started, mut continued) = (VecDeque::new(), VecDeque::new());
     loop {
         if let Some(&number) = idle.last()
             && let Some(batch) = start(&mut lanes[number])?
         {
             idle.pop();
-            begun.push_back((number, batch));
-        } else if let Some((number, mut batch)) = begun.pop_front() {
+            started.push_back((number, batch));
+        } else if let Some((number, mut batch)) = started.pop_front() {
             go_on(&mut lanes[number], &mut batch)?;
-            gone_on.push_back((number, batch));
-        } else if let Some((number, batch)) = gone_on.pop_front() {
+            continued.push_back((number, batch));
+        } else if let Some((number, batch)) = continued.pop_front() {
             finish(&mut lanes[number], batch)?;
             idle.push(number);
         } else {

@@ -33,7 +33,7 @@ use crate::system::control::Meter;
 use crate::vulkan::{Device, VulkanError};
 
 use super::cpu::CpuStages;
-use super::{Executor, REGIONS_TOGETHER, Stages, Surfaces, Take, Work};
+use super::{Executor, REGIONS_PER_CALL, Stages, Surfaces, Take, Work};
 use bins::{DeviceFrameError, PlacedPages, bin_bytes};
 pub use blocks::DeviceSurfaces;
 use frame::{DeviceFrame, DeviceState, FrameBuffers, LANES};
@@ -43,16 +43,16 @@ use pipelines::{Pipelines, page_bytes};
 /// Maximum bytes of a batch.
 const LARGEST_BATCH: u64 = 128 << 20;
 /// Bytes of host memory that a driver takes.
-const DRIVER: u64 = 96 << 20;
+const DRIVER_BYTES: u64 = 96 << 20;
 /// The most host memory, in bytes, that a frame needs if the device has its own memory.
-pub(super) const MOST_HOST_BYTES: u64 = LANES as u64 * LARGEST_BATCH + DRIVER;
+pub(super) const MOST_HOST_BYTES: u64 = LANES as u64 * LARGEST_BATCH + DRIVER_BYTES;
 
 /// A Vulkan device with all shaders compiled.
 #[derive(Debug)]
 pub struct Vulkan {
     device: Device,
     pipelines: Arc<Pipelines>,
-    kept: Arc<Mutex<FrameBuffers>>,
+    reusable: Arc<Mutex<FrameBuffers>>,
 }
 
 /// The memory limits of a frame.
@@ -62,7 +62,7 @@ struct FrameBudget {
     batch: u64,
     /// Maximum bytes of the DIF, if it stays on the device.
     resident: u64,
-    /// Total bytes of host memory.
+    /// Bytes of host memory that the frame needs.
     host: u64,
 }
 
@@ -73,7 +73,7 @@ impl Vulkan {
     /// [`VulkanError`] if the driver rejects a shader.
     pub fn new(device: Device) -> Result<Self, VulkanError> {
         let pipelines = Arc::new(Pipelines::new(&device)?);
-        Ok(Self { device, pipelines, kept: Arc::default() })
+        Ok(Self { device, pipelines, reusable: Arc::default() })
     }
 
     /// The device.
@@ -83,37 +83,38 @@ impl Vulkan {
 
     /// Frees the memory that is kept for the next frame.
     pub fn release(&self) {
-        *self.kept.lock().unwrap_or_else(PoisonError::into_inner) = FrameBuffers::default();
+        *self.reusable.lock().unwrap_or_else(PoisonError::into_inner) = FrameBuffers::default();
     }
 
-    fn shares(&self, budget: MemoryBudget) -> FrameBudget {
+    /// Divides the device's memory and the memory budget of the host.
+    fn frame_budget(&self, budget: MemoryBudget) -> FrameBudget {
         let own = self.device.memory().unwrap_or(u64::MAX);
         if self.device.shares_host_memory() {
             let total = own.min(budget.0 / 4);
             let batch = (total / 2 / LANES as u64 / (HEADROOM + 1) * HEADROOM).min(LARGEST_BATCH);
-            FrameBudget { batch, resident: total / 2, host: total + DRIVER }
+            FrameBudget { batch, resident: total / 2, host: total + DRIVER_BYTES }
         } else {
             let batch = (own / 4 / LANES as u64).min(budget.0 / 8).min(LARGEST_BATCH);
-            FrameBudget { batch, resident: own / 2, host: LANES as u64 * batch + DRIVER }
+            FrameBudget { batch, resident: own / 2, host: LANES as u64 * batch + DRIVER_BYTES }
         }
     }
 }
 
 impl Vulkan {
     fn start_frame(&self, budget: MemoryBudget) -> Arc<DeviceFrame> {
-        let shares = self.shares(budget);
+        let limits = self.frame_budget(budget);
         let state = DeviceState {
             lanes: Vec::new(),
-            batch_bytes: shares.batch,
-            resident_bytes: shares.resident,
+            batch_bytes: limits.batch,
+            resident_bytes: limits.resident,
             wide_bytes: 0,
             on_cpu: false,
             warnings: Vec::new(),
             done: Work::default(),
         };
-        let (device, pipelines, kept) =
-            (self.device.clone(), Arc::clone(&self.pipelines), Arc::clone(&self.kept));
-        Arc::new(DeviceFrame::new(device, pipelines, kept, state))
+        let (device, pipelines, reusable) =
+            (self.device.clone(), Arc::clone(&self.pipelines), Arc::clone(&self.reusable));
+        Arc::new(DeviceFrame::new(device, pipelines, reusable, state))
     }
 
     /// Starts a frame whose particles and surface stay on the device.
@@ -195,7 +196,7 @@ impl Executor for Vulkan {
     }
 
     fn host_bytes(&self, budget: MemoryBudget) -> u64 {
-        self.shares(budget).host
+        self.frame_budget(budget).host
     }
 
     fn start(&self, budget: MemoryBudget) -> Box<dyn Stages> {
@@ -206,8 +207,8 @@ impl Executor for Vulkan {
 impl Stages for Arc<DeviceFrame> {
     /// Keeps the field on the device if it fits. The field goes to the host if the device shares
     /// the host's memory. It also goes to the host if the pages take less memory than the
-    /// particles, because a field on the device requires that the host keep the particles, to
-    /// recompute pages after a failure.
+    /// particles: while a field is on the device, the host must keep the particles, so that the CPU
+    /// can recompute pages after a failure.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());
         let particles: usize = (0..count).map(|bin| bins.count(bin)).sum();
@@ -240,8 +241,8 @@ impl Stages for Arc<DeviceFrame> {
                 .find(|&bin| bin_bytes(bins.count(bin), shape) > room)
                 .unwrap_or(range.end);
             if end == begin {
-                // This bin is too large for any batch. Without its page, the pages on the device
-                // are useless.
+                // This bin is too large for any batch, so the CPU computes its page. The pages on
+                // the device are dropped, because they lack this page.
                 self.forget_residents();
                 state.resident_bytes = 0;
                 pages.extend(CpuStages::STAND_IN.indicate(bins, begin..begin + 1, rule, meter)?);
@@ -257,7 +258,8 @@ impl Stages for Arc<DeviceFrame> {
             }
         }
         if pages.len() < range.len() {
-            // Without the pages of the remaining bins, the pages on the device are useless.
+            // The CPU computes the pages of the remaining bins. The pages on the device are
+            // dropped, because they lack these pages.
             self.forget_residents();
             let rest = range.start + pages.len()..range.end;
             pages.extend(CpuStages::STAND_IN.indicate(bins, rest, rule, meter)?);
@@ -278,7 +280,7 @@ impl Stages for Arc<DeviceFrame> {
         }
         // The CPU computes the surfaces near solids, and the device computes all others. Both
         // backends produce the same bytes, so the surfaces match.
-        for regions in regions.chunks(REGIONS_TOGETHER) {
+        for regions in regions.chunks(REGIONS_PER_CALL) {
             let (near, away): (Vec<CellBox>, Vec<CellBox>) =
                 regions.iter().partition(|&&region| surfaces.is_at_solid(region));
             let (mut of_near, mut of_away) = (Vec::new(), Vec::new());
@@ -331,13 +333,18 @@ impl DeviceFrame {
         let mut taken = 0;
         while !state.on_cpu && taken < regions.len() && meter.goes_on() {
             let begin = taken;
-            let mut counted = |meshes: Vec<Option<BlockMesh>>| {
+            let mut take_counted = |meshes: Vec<Option<BlockMesh>>| {
                 taken += meshes.len();
                 meter.add(meshes.len());
                 take(meshes)
             };
-            let outcome =
-                self.contour_batches(&mut state, surfaces, &regions[begin..], meter, &mut counted);
+            let outcome = self.contour_batches(
+                &mut state,
+                surfaces,
+                &regions[begin..],
+                meter,
+                &mut take_counted,
+            );
             state.done.regions += taken - begin;
             match outcome {
                 Ok(()) => {}

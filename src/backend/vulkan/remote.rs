@@ -55,7 +55,7 @@ impl PageSource for RebuiltPages {
 struct LostPages(PageShape);
 
 impl PageSource for LostPages {
-    /// Returns zeros, which are not used: the frame returns the device's failure instead.
+    /// Returns zeros. They are not used, because the frame returns the error of the device.
     fn samples(&self, _: usize) -> Vec<u16> {
         vec![0; self.0.bin_samples()]
     }
@@ -69,8 +69,8 @@ pub(super) fn of_bins(
     bins: &Arc<Bins>,
     rule: &PageRule,
 ) -> DifField {
-    let again = RebuiltPages { bins: Arc::clone(bins), rule: *rule };
-    field(frame, infos, rule.shape(), Box::new(again))
+    let rebuilt = RebuiltPages { bins: Arc::clone(bins), rule: *rule };
+    field(frame, infos, rule.shape(), Box::new(rebuilt))
 }
 
 /// Makes the field of particles that exist only on the device.
@@ -86,24 +86,24 @@ fn field(
     frame: &Arc<DeviceFrame>,
     infos: Vec<PageInfo>,
     shape: PageShape,
-    otherwise: Box<dyn PageSource>,
+    fallback: Box<dyn PageSource>,
 ) -> DifField {
     let pages = DeviceField { frame: Arc::clone(frame), level: 0, infos: infos.clone(), shape };
-    DifField::from_remote(shape, infos, Box::new(pages), otherwise)
+    DifField::from_remote(shape, infos, Box::new(pages), fallback)
 }
 
 impl DeviceField {
     /// Runs an operation on the field's pages; returns `None` if the pages are no longer on the
-    /// device, or if the operation fails.
-    fn made<T>(
+    /// device, if a download failed before, or if the operation fails or returns `None`.
+    fn with_pages<T>(
         &self,
-        make: impl FnOnce(&mut DeviceState, &ResidentPages) -> Result<Option<T>, VulkanError>,
+        operation: impl FnOnce(&mut DeviceState, &ResidentPages) -> Result<Option<T>, VulkanError>,
     ) -> Option<T> {
         let resident =
             self.frame.resident(self.level).filter(|_| self.frame.reader.failed().is_none())?;
         let mut state = self.frame.state();
-        let made = make(&mut state, &resident);
-        made.map_err(|error| self.frame.recover(&mut state, &error)).ok().flatten()
+        let result = operation(&mut state, &resident);
+        result.map_err(|error| self.frame.recover(&mut state, &error)).ok().flatten()
     }
 }
 
@@ -123,9 +123,10 @@ impl RemotePages for DeviceField {
         mirror: Option<Mirror>,
         factor: Factor,
     ) -> Option<(Vec<PageInfo>, Box<dyn RemotePages>)> {
-        let infos = self.made(|state, resident| {
+        let infos = self.with_pages(|state, resident| {
             let stride = page_bytes(HALVED);
-            let Some(pages) = self.frame.room(state, bins.len() as u64 * stride, state.wide_bytes)
+            let Some(pages) =
+                self.frame.page_buffer(state, bins.len() as u64 * stride, state.wide_bytes)
             else {
                 return Ok(None);
             };
@@ -133,7 +134,7 @@ impl RemotePages for DeviceField {
             let from = SampleSource::Resident(resident, self.shape);
             let pipeline = &self.frame.pipelines.halve;
             let found: Vec<DeviceFullCells> =
-                self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
+                self.frame.run_on_boxes(state, from, &boxes, |lane, range, blocks, cells| {
                     let count = range.len();
                     let pages = pages.part(range.start as u64 * stride, count as u64 * stride);
                     lane.compute.stage("halve", cells.bytes() + pages.bytes());
@@ -155,11 +156,11 @@ impl RemotePages for DeviceField {
     fn full_bricks(&self, width: u32, least: u32) -> Option<Vec<u64>> {
         let boxes = self.infos.iter().map(|info| full_bricks_of(info.key.coord(), width));
         let boxes: Vec<CellBox> = boxes.collect::<Option<_>>()?;
-        self.made(|state, resident| {
+        self.with_pages(|state, resident| {
             let from = SampleSource::Resident(resident, self.shape);
             let (device, pipelines) = (&self.frame.device, &self.frame.pipelines.distance);
             let full: Vec<[u32; 2]> =
-                self.frame.of_blocks(state, from, &boxes, |lane, range, blocks, cells| {
+                self.frame.run_on_boxes(state, from, &boxes, |lane, range, blocks, cells| {
                     let bytes = (range.len() * size_of::<[u32; 2]>()) as u64;
                     let bricks = lane.buffer(device, "full bricks", BufferKind::Device, bytes)?;
                     let read =
@@ -183,14 +184,14 @@ impl RemotePages for DeviceField {
 }
 
 impl DeviceFrame {
-    /// Gathers `boxes` of cells from a field batch by batch, runs `make` on each batch, and
-    /// collects the values in the buffers that `make` returns.
-    fn of_blocks<T: Pod>(
+    /// Gathers `boxes` of cells from a field, in batches. Calls `run` for each batch, and collects
+    /// the values from the buffers that `run` returns.
+    fn run_on_boxes<T: Pod>(
         &self,
         state: &mut DeviceState,
         from: SampleSource<'_>,
         boxes: &[CellBox],
-        make: impl Fn(&mut Lane, Range<usize>, &DeviceBlocks, &View) -> Result<View, VulkanError>,
+        run: impl Fn(&mut Lane, Range<usize>, &DeviceBlocks, &View) -> Result<View, VulkanError>,
     ) -> Result<Vec<T>, VulkanError> {
         self.make_lanes(state)?;
         let most = state.batch_bytes.min(self.device.limits().storage_range);
@@ -227,7 +228,7 @@ impl DeviceFrame {
                     (grid.on_device(&inputs, &places), places.pages(&inputs, from, None));
                 lane.compute.stage("gather", pages.pages.bytes() + cells.bytes());
                 gather(&mut lane.compute, &self.pipelines.gather, &blocks, &pages, &cells)?;
-                let read = make(lane, begin..next, &blocks, &cells)?;
+                let read = run(lane, begin..next, &blocks, &cells)?;
                 lane.compute.submit(&[uploaded])?;
                 Ok(Some((next - begin, read)))
             },

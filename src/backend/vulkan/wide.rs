@@ -34,8 +34,8 @@ const DROPS: usize = 3;
 const SHEETS: usize = 4;
 
 impl Contouring<'_> {
-    /// Waits until the wide cells of a batch are computed. Then decides which regions to mesh, and
-    /// in which of their parts particles stand out.
+    /// Waits until the wide cells of a batch are computed. Then chooses the regions to mesh, and
+    /// finds the part of each region in which particles stand out.
     pub(super) fn choose(
         &self,
         lane: &mut Lane,
@@ -48,15 +48,15 @@ impl Contouring<'_> {
         };
         lane.compute.wait()?;
         let count = wide.probes.len();
-        let read = lane.known("seen read", (size_of::<ProbeResult>() * count) as u64);
+        let read = lane.existing("probe results read", (size_of::<ProbeResult>() * count) as u64);
         // SAFETY: the batch that writes the buffer has finished, and the lane has not begun another
         // batch.
-        let seen: Vec<ProbeResult> = unsafe { read.read(0, count) };
+        let results: Vec<ProbeResult> = unsafe { read.read(0, count) };
         batch.meshed.clear();
-        for (number, ((&region, probe), seen)) in
-            batch.regions.iter().zip(&wide.probes).zip(&seen).enumerate()
+        for (number, ((&region, probe), result)) in
+            batch.regions.iter().zip(&wide.probes).zip(&results).enumerate()
         {
-            let part = probe.outlying(seen).map(|wide| {
+            let part = probe.outlying(result).map(|wide| {
                 // A wide cell also affects the grid's cells in its neighbours.
                 let further = i32::from(distances.level > 0);
                 let CellBox { lo, hi } = wide.grown(further, further);
@@ -66,9 +66,9 @@ impl Contouring<'_> {
             let part = part.filter(|part| !part.is_empty());
             let at_walls =
                 self.surfaces.mesh_walls().is_some_and(|walls| !walls.covers(&dual_cells(region)));
-            // The field of a cell is a weighted mean of wide cells. A region that is all inside has
-            // a surface only at a wall.
-            if (part.is_some() || seen.above > 0) && (at_walls || seen.below > 0) {
+            // The field of a cell is a weighted mean of wide cells, to which drops can only add. A
+            // region whose wide cells are all inside has a surface only at a wall.
+            if (part.is_some() || result.above > 0) && (at_walls || result.below > 0) {
                 batch.parts.extend(part.map(|part| (batch.meshed.len(), part)));
                 batch.meshed.push(number);
             }
@@ -91,10 +91,10 @@ impl Contouring<'_> {
         for near in regions.chunk_by(|a, b| parent(a) == parent(b)) {
             let all = near.iter().fold(CellBox::EMPTY, |all, &region| all.union(&wide(region)));
             let volume = |cells: CellBox| cells.grown(halo, halo).volume();
-            let together = volume(all) <= near.iter().map(|&region| volume(wide(region))).sum();
+            let shares_block = volume(all) <= near.iter().map(|&region| volume(wide(region))).sum();
             for (i, &region) in near.iter().enumerate() {
-                if i == 0 || !together {
-                    let cells = if together { all } else { wide(region) };
+                if i == 0 || !shares_block {
+                    let cells = if shares_block { all } else { wide(region) };
                     grid.push_sampled(
                         cells.grown(halo, halo),
                         NO_TILES,
@@ -114,9 +114,9 @@ impl Contouring<'_> {
         let staged = lane.buffer(device, "staged", BufferKind::Upload, layout.bytes)?;
         let inputs = lane.buffer(device, "wide inputs", BufferKind::Device, layout.bytes)?;
         let free = lane.fields(device, "wide", WIDE_FIELDS, grid.field_bytes())?;
-        let seen_bytes = (size_of::<ProbeResult>() * probes.len()) as u64;
-        let seen = lane.buffer(device, "seen", BufferKind::Device, seen_bytes)?;
-        let read = lane.buffer(device, "seen read", BufferKind::Download, seen_bytes)?;
+        let result_bytes = (size_of::<ProbeResult>() * probes.len()) as u64;
+        let results = lane.buffer(device, "probe results", BufferKind::Device, result_bytes)?;
+        let read = lane.buffer(device, "probe results read", BufferKind::Download, result_bytes)?;
         // SAFETY: `begin` waited for the lane's earlier work, and only this lane uses the staging
         // buffer.
         unsafe {
@@ -135,12 +135,12 @@ impl Contouring<'_> {
         let made = bulk(distances, &mut fields)?;
         let fields =
             WideFields { bulk: made.bulk.samples.clone(), outlying: made.outlying.samples.clone() };
-        let views = [&part(&inputs, &probes_at), &fields.bulk, &fields.outlying, &seen];
+        let views = [&part(&inputs, &probes_at), &fields.bulk, &fields.outlying, &results];
         let commands = &mut lane.compute;
         commands.stage("distances", fields.bulk.bytes() + fields.outlying.bytes());
         let by = (self.surfaces.recipe.iso, distances.stands_out.begin());
         probe(commands, pipelines, &blocks, probes.len() as u32, by, views)?;
-        commands.copy(&seen, &read);
+        commands.copy(&results, &read);
         commands.submit(&[uploaded])?;
         Ok(WideBulk { blocks, of_regions, probes, fields })
     }
@@ -241,7 +241,7 @@ impl Contouring<'_> {
             fields.gather(DROPS, &places[2].pages(&inputs, from, Some(&self.constants)))?;
         }
         let known = |samples: &View| {
-            Rc::new(PaddedSamples { samples: samples.clone(), margin: 0, of: WIDE })
+            Rc::new(PaddedSamples { samples: samples.clone(), margin: 0, grid: WIDE })
         };
         let made =
             WideFields { bulk: known(&wide.fields.bulk), outlying: known(&wide.fields.outlying) };

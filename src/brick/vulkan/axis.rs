@@ -1,4 +1,4 @@
-//! Separable operations on padded blocks, one axis after the other: the twin of
+//! Separable operations on padded blocks, one axis after the other. The counterpart on the CPU is
 //! [`Block::along_each_axis`](crate::brick::Block::along_each_axis).
 
 use std::sync::Arc;

@@ -22,8 +22,8 @@ use crate::vulkan::{
 
 use super::{DeviceGrid, flat_groups};
 
-/// Number of particles per chunk, so that the buffer which [`Binning::keep`] creates for a chunk
-/// fills one allocation.
+/// Number of particles per chunk. The buffer that [`Binning::keep`] creates for a chunk of this
+/// size almost fills one allocation.
 const CHUNK: usize = (PIECE / (RECORD_BYTES + HOME_BYTES) / ALIGNMENT * ALIGNMENT) as usize;
 /// Number of chunks in a batch. Each chunk takes at most three dispatches and two stages.
 const BATCH_CHUNKS: usize = 16;
@@ -45,8 +45,8 @@ pub const ELSEWHERE: u32 = u32::MAX;
 const RECORD_BYTES: u64 = 8;
 /// Size, in bytes, of the number of a slot, which is stored for each particle.
 const HOME_BYTES: u64 = 4;
-/// Maximum number of particles in a bin: one work group can sum them before the driver's timeout.
-/// This is about 16000 times as many particles as are useful in a bin.
+/// Maximum number of particles in a bin, which one work group can sum before the driver's timeout.
+/// This is 4096 particles per cell, far more than is useful.
 const MOST_IN_BIN: u32 = 1 << 24;
 
 /// The shaders of binning.
@@ -199,8 +199,8 @@ fn chunks(positions: &[DevicePositions], limits: Limits) -> Vec<DeviceChunk> {
     let mut before = 0;
     for DevicePositions { view, count, coordinate } in positions {
         let particle = 3 * coordinate.bytes();
-        let seen = (limits.storage_range - limits.alignment) / particle;
-        let most = CHUNK.min(seen as usize);
+        let per_view = (limits.storage_range - limits.alignment) / particle;
+        let most = CHUNK.min(per_view as usize);
         for first in (0..*count).step_by(most) {
             let len = most.min(count - first);
             let part =

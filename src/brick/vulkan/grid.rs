@@ -16,11 +16,11 @@ pub struct DeviceGrid {
     reciprocal: u64,
     walls_lo: [u64; 3],
     walls_hi: [u64; 3],
-    spare: u64,
+    padding: u64,
     lo: [i32; 3],
     walled: u32,
     hi: [i32; 3],
-    spare_too: u32,
+    padding_end: u32,
 }
 
 impl DeviceGrid {
@@ -35,11 +35,11 @@ impl DeviceGrid {
             reciprocal: reciprocal(grid.cell_size()),
             walls_lo: bits(walls_lo),
             walls_hi: bits(walls_hi),
-            spare: 0,
+            padding: 0,
             lo,
             walled: domain.is_some().into(),
             hi,
-            spare_too: 0,
+            padding_end: 0,
         }
     }
 }

@@ -200,8 +200,8 @@ pub fn gather(
 /// The lowest and the highest cell within walls, for shaders. Without walls, both are farther away
 /// than any cell of a grid.
 pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
-    const NOWHERE: i32 = 1 << 24;
-    walls.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |walls| {
+    const BEYOND_GRID: i32 = 1 << 24;
+    walls.map_or([[-BEYOND_GRID; 3], [BEYOND_GRID; 3]], |walls| {
         [walls.lo.to_array(), (walls.hi - 1).to_array()]
     })
 }
@@ -209,8 +209,10 @@ pub fn wall_bounds(walls: Option<CellBox>) -> [[i32; 3]; 2] {
 /// The lower and the upper planes of a mirror, in halves of a cell, for shaders. Without a mirror,
 /// they are farther away than any cell of a grid.
 pub fn mirror_planes(mirror: Option<Mirror>) -> [[i32; 3]; 2] {
-    const NOWHERE: i32 = 1 << 25;
-    mirror.map_or([[-NOWHERE; 3], [NOWHERE; 3]], |mirror| mirror.planes().map(|at| at.to_array()))
+    const BEYOND_GRID: i32 = 1 << 25;
+    mirror.map_or([[-BEYOND_GRID; 3], [BEYOND_GRID; 3]], |mirror| {
+        mirror.planes().map(|at| at.to_array())
+    })
 }
 
 #[cfg(test)]

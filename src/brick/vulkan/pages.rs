@@ -54,7 +54,7 @@ pub fn full_cells(
     batch.dispatch(pipeline, &[pages.clone(), found.clone()], &push, [1, count, 1])
 }
 
-/// Makes pages of cells twice as wide from `field`; the twin of
+/// Makes pages of cells twice as wide from `field`. The counterpart on the CPU is
 /// [`DifField::halved`](crate::brick::DifField::halved). Each block must contain the [finer
 /// cells](crate::brick::halved_from) from which a bin is computed.
 ///

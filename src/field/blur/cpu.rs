@@ -78,9 +78,9 @@ fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights, cells: CellBox
     let Some(&first) = full.first() else { return Block::zero(cells) };
     let (lo, hi) = full.iter().fold((first, first), |(lo, hi), &cell| (lo.min(cell), hi.max(cell)));
     let reached = CellBox { lo, hi: hi + 1 }.grown(reach, reach).intersection(&cells);
-    let seen = reached.grown(reach, reach);
+    let input = reached.grown(reach, reach);
     let [width, height, _] = reached.size().as_usizevec3().to_array();
-    let [_, rows, layers] = seen.size().as_usizevec3().to_array();
+    let [_, rows, layers] = input.size().as_usizevec3().to_array();
     let mut along_x = vec![0; width * rows];
     let mut along_y = vec![0; width * height * layers];
     let mut sums = vec![0; width];
@@ -89,12 +89,12 @@ fn blurred_part(block: &Block, full: &[IVec3], weights: &Weights, cells: CellBox
     for layer in full.chunk_by(|a, b| a.z == b.z) {
         along_x.fill(0);
         for full in layer.chunk_by(|a, b| a.y == b.y) {
-            let row = block.index(full[0].with_x(seen.lo.x));
-            let first = (full[0].y - seen.lo.y) as usize * width;
+            let row = block.index(full[0].with_x(input.lo.x));
+            let first = (full[0].y - input.lo.y) as usize * width;
             let to = &mut along_x[first..first + width];
-            blur_few(to, &block.samples()[row..], (seen.lo.x, full), &all, &mut sums);
+            blur_few(to, &block.samples()[row..], (input.lo.x, full), &all, &mut sums);
         }
-        let first = (layer[0].z - seen.lo.z) as usize * width * height;
+        let first = (layer[0].z - input.lo.z) as usize * width * height;
         let to = &mut along_y[first..first + width * height];
         u16::blur_row(to, &along_x, width, weights, 1);
     }

@@ -43,8 +43,9 @@ impl Weights {
         Self::with_tails(tails)
     }
 
-    /// Makes a Gaussian that is cut off at `reach` cells. After the cut its variance is `variance`,
-    /// in squared cells, or the largest possible variance for this reach.
+    /// Makes a Gaussian that is cut off at `reach` cells. After the cut, its variance is
+    /// `variance`, in squared cells. If the reach is too short for this variance, the Gaussian has
+    /// a variance of 4 `variance` before the cut, and less than `variance` after it.
     ///
     /// The computation uses only arithmetic that rounds in the same way on every machine.
     pub fn of_variance(variance: f64, reach: i32) -> Self {

@@ -11,12 +11,13 @@ use crate::grid::units::FULL;
 /// Number of synthetic fluids, each at a different position on the grid.
 const PLACES: u64 = 8;
 
-/// Edge of a synthetic fluid, in spacings or in cells, whichever is longer.
+/// Edge of a synthetic fluid: this number of spacings or this number of cells, whichever is longer,
+/// but at most [`MOST_PARTICLES_PER_EDGE`] spacings.
 const EDGE: f64 = 16.0;
 
 /// A synthetic fluid has at most this many particles along the edge of a cell. At this number,
 /// disorder does not change the sample of a cell.
-const LONGEST: f64 = 24.0;
+const MOST_PARTICLES_PER_EDGE: f64 = 24.0;
 
 /// Maximum number of cells per spacing in a synthetic fluid. At this number no cell holds two
 /// particles, so in finer cells the mean of theta is proportional to the cell's volume.
@@ -27,11 +28,12 @@ const JITTER: f64 = 0.3;
 
 /// The minimum number of full cells for an estimate of a frame's disorder. With fewer cells, the
 /// estimate would depend on a few particles.
-const TELLING: u64 = 1000;
+const LEAST_FULL_CELLS: u64 = 1000;
 
-/// The estimate of disorder counts at most this many particles per cell, relative to the usual
-/// number. It ignores any further particles of a cell, because they are a clump.
-const MOST: f64 = 4.0;
+/// The maximum number of particles of a cell that the estimate of disorder counts, as a multiple of
+/// the usual mean number in full cells. It ignores further particles of the cell, because they are
+/// a clump.
+const MOST_TIMES_USUAL: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart, on a disordered lattice.
 /// Smoothing does not change this mean. The result is a sample: 65535 means 1. For the counting
@@ -70,8 +72,10 @@ impl FluidSums {
     /// and the sums of their offsets.
     fn of(spacing: f64, theta: impl Fn([f64; 4]) -> u16) -> Self {
         let denser = (spacing / FINEST).powi(3).max(1.0);
-        let spacing = spacing.clamp(1.0 / LONGEST, FINEST);
-        let edge = (EDGE * spacing).max(EDGE.min(LONGEST * spacing)).floor().max(1.0) as i32;
+        let spacing = spacing.clamp(1.0 / MOST_PARTICLES_PER_EDGE, FINEST);
+        let edge =
+            (EDGE * spacing).max(EDGE.min(MOST_PARTICLES_PER_EDGE * spacing)).floor().max(1.0)
+                as i32;
         // There is one additional layer, because the lattice begins below the cells.
         let layers = (f64::from(edge) / spacing).ceil() as u64 + 1;
         let mut fluid = Self { denser, ..Self::default() };
@@ -121,10 +125,10 @@ impl FluidSums {
 /// The mean number of particles per full cell of `dif`, divided by `usual`; at least 1.
 fn crowding(dif: &DifField, usual: f64) -> f64 {
     let full_cells = dif.full_cells();
-    if full_cells < TELLING {
+    if full_cells < LEAST_FULL_CELLS {
         return 1.0;
     }
-    let most = (MOST * usual).ceil() as u16;
+    let most = (MOST_TIMES_USUAL * usual).ceil() as u16;
     let of_page =
         |page: usize| dif.stored(page).iter().map(|&n| u64::from(n.min(most))).sum::<u64>();
     let particles: u64 = (0..dif.infos().len()).into_par_iter().map(of_page).sum();
@@ -152,9 +156,9 @@ mod tests {
     fn the_plateau_in_fine_cells_is_theta_times_particles_per_cell() {
         let mean = MeanCount::new(1.25).unwrap();
         for spacing in [3.0, 4.0, 7.5] {
-            let a_cell = f64::powi(spacing, -3);
+            let per_cell = f64::powi(spacing, -3);
             let near = |indicator, each: f64, within: f64| {
-                let ratio = share(indicator, spacing) / (each * a_cell);
+                let ratio = share(indicator, spacing) / (each * per_cell);
                 assert!((ratio - 1.0).abs() < within, "{indicator:?} at {spacing}: {ratio}");
             };
             // The second argument is theta of a cell with one particle: 1 / mu0 for counting, and

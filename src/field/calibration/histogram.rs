@@ -64,7 +64,8 @@ impl Histogram {
         self.counts().map(|(_, count)| count).sum()
     }
 
-    /// The lowest value that is at least as large as a fraction `share` of the samples.
+    /// The lowest sample such that at least a fraction `share` of all samples is less than or equal
+    /// to it.
     pub fn quantile(&self, share: f64) -> Option<u16> {
         let wanted = ((self.total() as f64 * share).ceil() as u64).max(1);
         let mut below = 0;

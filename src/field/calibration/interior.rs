@@ -85,22 +85,23 @@ impl<'a> Interior<'a> {
         }
         blurred.meter.add(1);
         let mirror = blurred.mirror;
-        let (seen, reach) = (dilation + erosion, blurred.halo);
-        let margin = seen.max(reach);
+        let (window_reach, reach) = (dilation + erosion, blurred.halo);
+        let margin = window_reach.max(reach);
         let wide = blurred.dif.gather_mirrored(cells.grown(margin, margin), mirror);
         let [_, width, slab] = wide.strides();
         let mut rows: Vec<u128> =
             fullness(wide.samples()).chunks_exact(width).map(full_bits).collect();
         windows(&mut rows, slab / width, 2 * dilation + 1, |a, b| a | b);
         windows(&mut rows, slab / width, 2 * erosion + 1, |a, b| a & b);
-        // After dilation and erosion, the result for a cell depends on the cells from `seen` cells
-        // below it to `seen` cells above it. A window begins at its cell, so this result is stored
-        // `seen` cells below the cell along each axis. `wide` begins `margin` cells below `cells`.
+        // After dilation and erosion, the result for a cell depends on the cells from
+        // `window_reach` cells below it to `window_reach` cells above it. A window begins at its
+        // cell, so this result is stored `window_reach` cells below the cell along each axis.
+        // `wide` begins `margin` cells below `cells`.
         let CellBox { lo, hi } = cells;
         let among = (1 << (hi.x - lo.x)) - 1;
         let row = |y, z| {
-            let begins = wide.index(IVec3::new(lo.x - margin, y - seen, z - seen));
-            rows[begins / width] >> (margin - seen) & among
+            let begins = wide.index(IVec3::new(lo.x - margin, y - window_reach, z - window_reach));
+            rows[begins / width] >> (margin - window_reach) & among
         };
         let rows = (lo.z..hi.z).flat_map(|z| (lo.y..hi.y).map(move |y| (y, z, row(y, z))));
         let interior: Vec<(i32, i32, u128)> = rows.filter(|&(.., bits)| bits != 0).collect();
@@ -129,19 +130,19 @@ impl<'a> Interior<'a> {
 /// `width` cells from the end of a row have undefined results.
 fn windows(
     rows: &mut [u128],
-    rows_a_slab: usize,
+    rows_per_slab: usize,
     width: i32,
     combine: impl Fn(u128, u128) -> u128,
 ) {
-    let mut seen = 1;
-    while seen < width {
-        let step = seen.min(width - seen);
+    let mut combined = 1;
+    while combined < width {
+        let step = combined.min(width - combined);
         rows.iter_mut().for_each(|row| *row = combine(*row, *row >> step));
-        for beyond in [step as usize, step as usize * rows_a_slab] {
+        for beyond in [step as usize, step as usize * rows_per_slab] {
             for at in beyond..rows.len() {
                 rows[at - beyond] = combine(rows[at - beyond], rows[at]);
             }
         }
-        seen += step;
+        combined += step;
     }
 }

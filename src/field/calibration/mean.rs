@@ -20,7 +20,7 @@ use crate::grid::units::{MeanCount, UnitError};
 pub struct NoMeanCount(#[source] pub(crate) UnitError);
 
 /// A frame's particles on any backend, sorted into bins, from which pages can be made.
-#[allow(clippy::missing_errors_doc, reason = "whatever Error is")]
+#[allow(clippy::missing_errors_doc, reason = "the implementor defines the error")]
 pub trait BinnedFrame {
     /// The pages, and any other data that is kept with them.
     type Made;

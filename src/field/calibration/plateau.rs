@@ -170,7 +170,7 @@ fn measured(interior: &Interior<'_>, enough: f64, least: f64) -> Option<(u16, u1
     let sampled: Vec<_> = equal_steps(blocks.len(), SAMPLED_BLOCKS).map(|i| blocks[i]).collect();
     let middles = || sampled.iter().map(middle).collect::<Vec<_>>();
     let of = |parts: &[CellBox], enough: f64| {
-        let samples = Histogram::of(parts, |seen, &cells| interior.add(seen, cells));
+        let samples = Histogram::of(parts, |histogram, &cells| interior.add(histogram, cells));
         (samples.total() as f64 >= enough).then_some(())?;
         Some((samples.quantile(0.5)?, samples.quantile(0.0)?))
     };

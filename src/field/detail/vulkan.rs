@@ -7,7 +7,7 @@ use crate::grid::units::Isovalue;
 use crate::shaders::{GreaterPush, LostPush};
 use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 
-/// Writes theta_bar into `kept`.
+/// Writes theta_bar (section 6.2) to the view `theta_bar`.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.
@@ -16,12 +16,12 @@ pub fn lost(
     pipeline: &Arc<ComputePipeline>,
     blocks: &DeviceBlocks,
     iso: Isovalue,
-    [dif, smooth, kept]: [&View; 3],
+    [dif, smooth, theta_bar]: [&View; 3],
 ) -> Result<(), VulkanError> {
     let push = LostPush { words: blocks.words, threshold: iso.threshold().into() };
     batch.dispatch(
         pipeline,
-        &[dif, smooth, kept].map(Clone::clone),
+        &[dif, smooth, theta_bar].map(Clone::clone),
         &push,
         blocks.flat_groups(pipeline),
     )

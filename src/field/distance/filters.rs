@@ -52,11 +52,12 @@ const SHEETS_APART: [f64; 2] = [0.35, 0.45];
 const DROP_WIDTH: f64 = 0.6;
 /// The radius, in spacings, of a single particle's drop in fine cells.
 const DROP_RADIUS: f64 = 0.55;
-/// The decrease of the drop radius in coarse cells, without and with refinement by splines: in
-/// spacings, divided by the square of the cell edge in spacings. It corrects for the wider clouds
-/// in coarse cells, and for the splines. The drop of one particle then has a volume of 0.99 cubed
-/// spacings in cells of 1/8 of a spacing, and of 0.94 in cells of 1/4. In cells of 1/3 to 2/3 of a
-/// spacing, the volume is about 0.8 and depends on the particle's position.
+/// The decrease of the drop radius in coarse cells: in spacings, divided by the square of the cell
+/// edge in spacings. The first number is for drops without refinement by splines, and the second is
+/// for drops with it. The decrease corrects for the wider clouds in coarse cells, and for the
+/// splines. The drop of one particle then has a volume of 0.99 cubed spacings in cells of 1/8 of a
+/// spacing, and of 0.94 in cells of 1/4. In cells of 1/3 to 2/3 of a spacing, the volume is about
+/// 0.8 and depends on the particle's position.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 /// The minimum drop radius, in spacings, for cells that hardly resolve a single particle.
 const LEAST_DROP_RADIUS: f64 = 0.38;
@@ -266,7 +267,7 @@ impl DistanceFilters {
     /// The cells whose samples affect the field on `cells`, including the samples that decide which
     /// cells are inside.
     #[must_use]
-    pub fn seen(&self, cells: CellBox) -> CellBox {
+    pub fn input_cells(&self, cells: CellBox) -> CellBox {
         let wide = self.wide_cells(cells);
         let halo = self.widest_halo();
         let bulk = wide.grown(halo, halo);

@@ -1,5 +1,5 @@
-//! The deep inside of a fluid. By definition, it contains no surface, and neither its samples nor
-//! its field are computed.
+//! The deep inside of a fluid. By definition, it contains no surface. Its samples and its field are
+//! not computed.
 //!
 //! A brick of 4^3 wide cells is full if every cube of about 4 spacings that overlaps it holds at
 //! least 0.85 of the number of particles that the plateau implies. A brick is inside if it and its
@@ -117,7 +117,7 @@ impl Cube<bool> {
         let edge = BRICKS as usize;
         debug_assert_eq!(self.edge, edge);
         let at = |i: usize| USizeVec3::new(i % edge, i / edge % edge, i / (edge * edge)).as_ivec3();
-        let bits = self.values.iter().enumerate().filter(|&(_, &so)| so);
+        let bits = self.values.iter().enumerate().filter(|&(_, &is_set)| is_set);
         bits.fold(0, |bits, (i, _)| bits | 1 << local_morton(at(i)))
     }
 }

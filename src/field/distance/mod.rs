@@ -54,8 +54,7 @@ pub const ZERO: i32 = 1 << 15;
 /// The sample where no particle is near.
 pub const NONE: u16 = 0;
 /// The maximum distance, in units, that one smoothing width gives. Without this limit, noise deep
-/// in the fluid would count as shape, and so would the blurred traces of a few particles far
-/// outside.
+/// in the fluid and the blurred traces of a few particles far outside would count as shape.
 pub const FARTHEST: i32 = 5 << 12;
 /// The maximum difference, in units, between two surfaces of the bulk.
 pub const MOST_APART: i32 = UNITS as i32;

@@ -202,9 +202,9 @@ impl RegionProbe {
     }
 
     /// The box around the cells near which particles stand out; `None` if there are none.
-    pub fn outlying(&self, seen: &ProbeResult) -> Option<CellBox> {
+    pub fn outlying(&self, result: &ProbeResult) -> Option<CellBox> {
         let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
-        (seen.lo[0] <= seen.hi[0]).then(|| CellBox { lo: at(seen.lo), hi: at(seen.hi) + 1 })
+        (result.lo[0] <= result.hi[0]).then(|| CellBox { lo: at(result.lo), hi: at(result.hi) + 1 })
     }
 }
 

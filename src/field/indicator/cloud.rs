@@ -95,7 +95,7 @@ impl CloudWalls {
 
 /// A product of gains, rounded down.
 #[inline(always)]
-fn both(a: u32, b: u32) -> u32 {
+fn gain_product(a: u32, b: u32) -> u32 {
     (a * b) >> GAIN_BITS
 }
 
@@ -130,7 +130,7 @@ impl Gains {
     #[inline(always)]
     fn raised(&self, part: u32, own: [usize; 3], at: [usize; 3]) -> u32 {
         let [x, y, z] = [0, 1, 2].map(|axis: usize| self.0[axis][own[axis] + at[axis]]);
-        raised(part, both(both(z, y), x))
+        raised(part, gain_product(gain_product(z, y), x))
     }
 }
 
@@ -273,7 +273,7 @@ impl Clouds {
         cells: impl ExactSizeIterator<Item = [usize; 3]>,
     ) -> Option<(PageInfo, PageSamples)> {
         let samples = &mut room[..self.shape.bin_samples()];
-        if PageSamples::are_sparse(self.shape.cells_a_particle() * cells.len(), self.shape) {
+        if PageSamples::are_sparse(self.shape.cells_per_particle() * cells.len(), self.shape) {
             // Most samples are untouched and need not be examined.
             PageInfo::take_sparse(bin, samples, cells, self.shape)
         } else {

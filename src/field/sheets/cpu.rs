@@ -92,9 +92,9 @@ pub fn sheets(
     let mut candidates = vec![0; width];
     // For each piece of a row, whether its sheets were computed.
     let in_row = width.div_ceil(LANES);
-    let mut made = vec![false; density.rows(dense).count() * in_row];
+    let mut computed = vec![false; density.rows(dense).count() * in_row];
     let mut any = false;
-    for (([y_cell, z_cell], _), made) in density.rows(dense).zip(made.chunks_mut(in_row)) {
+    for (([y_cell, z_cell], _), computed) in density.rows(dense).zip(computed.chunks_mut(in_row)) {
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
         let needed = needed.map(|needed| &needed.samples()[needed.index(row)..][..width]);
@@ -102,16 +102,16 @@ pub fn sheets(
             continue;
         }
         let row = |offset: isize| &logarithms[first.wrapping_add_signed(offset)..][..width];
-        let beside = [row(-x), row(x), row(-y), row(y), row(-z), row(z)];
-        may_be_sheets(&mut candidates, numbers, row(0), beside);
+        let neighbours = [row(-x), row(x), row(-y), row(y), row(-z), row(z)];
+        may_be_sheets(&mut candidates, numbers, row(0), neighbours);
         for (candidate, &needed) in candidates.iter_mut().zip(needed.into_iter().flatten()) {
             *candidate &= u16::from(needed > 0);
         }
-        let pieces = candidates.chunks(LANES).zip(made).zip((0..).step_by(LANES));
-        for ((piece, made), start) in
+        let pieces = candidates.chunks(LANES).zip(computed).zip((0..).step_by(LANES));
+        for ((piece, computed), start) in
             pieces.filter(|((candidates, _), _)| greatest_of(candidates) > 0)
         {
-            *made = true;
+            *computed = true;
             let found = sheets_of_each(numbers, &logarithms, first + start, strides);
             let place = to + start..to + start + piece.len();
             shares.samples_mut()[place.clone()].copy_from_slice(&found.0[..piece.len()]);
@@ -127,12 +127,12 @@ pub fn sheets(
     let mut near = Block::zero(cells.grown(reach, reach));
     near.put(&certainty);
     let near = spread(near, reach);
-    for (([y_cell, z_cell], near), made) in near.rows(dense).zip(made.chunks(in_row)) {
+    for (([y_cell, z_cell], near), computed) in near.rows(dense).zip(computed.chunks(in_row)) {
         let row = IVec3::new(dense.lo.x, y_cell, z_cell);
         let (first, to) = (density.index(row), shares.index(row));
-        let pieces = near.chunks(LANES).zip(made).zip((0..).step_by(LANES));
+        let pieces = near.chunks(LANES).zip(computed).zip((0..).step_by(LANES));
         for ((piece, _), start) in
-            pieces.filter(|((certain, made), _)| !**made && greatest_of(certain) > 0)
+            pieces.filter(|((certain, computed), _)| !**computed && greatest_of(certain) > 0)
         {
             let (found, _) = sheets_of_each(numbers, &logarithms, first + start, strides);
             shares.samples_mut()[to + start..][..piece.len()]
@@ -152,8 +152,8 @@ fn logarithms_of(to: &mut [u16], samples: &[u16]) {
 /// For each logarithm of a row: 1 if it may belong to a sheet, according to its neighbours along
 /// the axes, and 0 otherwise.
 #[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
-fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], beside: [&[u16]; 6]) {
-    let [x, to_x, y, to_y, z, to_z] = beside;
+fn may_be_sheets(to: &mut [u16], numbers: &SheetConstants, row: &[u16], neighbours: [&[u16]; 6]) {
+    let [x, to_x, y, to_y, z, to_z] = neighbours;
     let (x, y, z) = (x.iter().zip(to_x), y.iter().zip(to_y), z.iter().zip(to_z));
     for ((to, &centre), ((x, y), z)) in to.iter_mut().zip(row).zip(x.zip(y).zip(z)) {
         let centre = i32::from(centre);
@@ -356,7 +356,7 @@ mod tests {
     const WIDE: WideCells = WideCells { level: 2, edge: 1.0 };
     const DROPS: DropShape = DropShape { radius: 0.5, width: 0.6, spline: 0.0 };
 
-    fn made() -> Sheets {
+    fn default_sheets() -> Sheets {
         let sheets = Sheets::new(SheetStretch::DEFAULT, [0.25, CELL], WIDE, DROPS);
         sheets.expect("there are sheets")
     }
@@ -364,13 +364,13 @@ mod tests {
     /// The standard deviation of a particle in the density that shows sheets. It includes the
     /// widths of the filter, the clouds and the spline.
     fn width() -> f64 {
-        (made().around.variance() + 0.5).sqrt() * WIDE.edge
+        (default_sheets().around.variance() + 0.5).sqrt() * WIDE.edge
     }
 
     /// The share and the certainty of a sheet at `place`. `logarithm` gives the binary logarithm of
     /// the density, relative to the plateau, at any place.
     fn sheet_at(place: DVec3, logarithm: impl Fn(DVec3) -> f64) -> (u16, u16) {
-        let numbers = made().numbers;
+        let numbers = default_sheets().numbers;
         let step = f64::from(numbers.step) * CELL;
         let at = |x: i32, y: i32, z: i32| {
             let place = place + DVec3::new(x.into(), y.into(), z.into()) * step;

@@ -33,9 +33,9 @@
 //!    their rims, and often twice as large in spray. At the corners of a sheet, this distance is as
 //!    large as in spray, and the middle seems far away. But at corners, det(I - B), the product of
 //!    the particles' variances, shows that the particles lie in a plane, so the limits of both
-//!    conditions are wider. Neither a thick body (T < 0.4), nor its surface (det(I - B) > 0.35),
-//!    nor a drop of a few particles (T > 2.45) is a sheet.
-//! 6. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no crumbs of
+//!    conditions are wider. A thick body (T < 0.4), its surface (det(I - B) > 0.35) and a drop of a
+//!    few particles (T > 2.45) are not sheets.
+//! 6. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no isolated
 //!    single cells remain at rims and in spray. The average is the weight with which the shares of
 //!    the sheet replace the shares of drops (see [`distance`](super::distance)). The shares of the
 //!    sheet have a profile of the minimum width for the cells, and have the level of a drop's

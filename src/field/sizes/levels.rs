@@ -197,10 +197,10 @@ mod tests {
     fn blocks_that_touch_differ_by_at_most_one_level() {
         let levels = levels();
         let all = CellBox { lo: IVec3::splat(-40), hi: IVec3::splat(40) };
-        let mut seen = [0; 4];
+        let mut blocks_of_level = [0; 4];
         for block in all.cubes(1) {
             let own = level_of(&levels, block);
-            seen[own as usize] += 1;
+            blocks_of_level[own as usize] += 1;
             for axis in IVec3::AXES {
                 let other = level_of(&levels, block + axis);
                 assert!((own - other).abs() <= 1, "{block}: {own} beside {other}");
@@ -208,8 +208,8 @@ mod tests {
             let other = level_of(&levels, block + 1);
             assert!((own - other).abs() <= 1, "{block}: {own} at a corner of {other}");
         }
-        assert_eq!(seen[0], 3 * 8, "three blocks are divided");
-        assert!(seen.iter().all(|&blocks| blocks > 20), "{seen:?}");
+        assert_eq!(blocks_of_level[0], 3 * 8, "three blocks are divided");
+        assert!(blocks_of_level.iter().all(|&blocks| blocks > 20), "{blocks_of_level:?}");
         assert_eq!(level_of(&levels, IVec3::new(6, 2, 0)), 0, "particles of the finest octave");
     }
 

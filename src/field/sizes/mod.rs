@@ -18,7 +18,6 @@
 //!    R_(k + 1). In fluid of size 2^k d, R_k is B_k. The bulk's surface is R_0.
 //! 4. Drops. In each octave, particles that lie outside R_k add their drops and sheets. The radius
 //!    of drops grows with the mean logarithm of the sizes of the octave's nearby particles.
-//!
 //! 5. Cells. Blocks that have no particles of octaves below k nearby consist of the cells of octave
 //!    k. The surface of the bulk in these blocks is R_k. See `levels`.
 //!
@@ -130,7 +129,8 @@ impl Octaves {
         // Particles below the finest size keep their volume.
         let volume = (size / self.finest).min(1.0);
         let volume = volume * volume * volume * ratio * ratio * ratio;
-        // The conversion to an integer rounds down, and is faster than a call of `round`.
+        // The conversion to an integer rounds down, so adding 0.5 rounds to the nearest integer.
+        // This is faster than a call of `round`.
         let rounded = |x: f64| (x + 0.5) as u32;
         let amount = rounded(self.amount * volume).max(1);
         let fraction = if octave + 1 < self.count { log2(ratio) } else { 0.0 };

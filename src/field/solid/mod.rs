@@ -138,8 +138,11 @@ impl SolidFill {
             *share = (beyond * u32::from(WHOLE) / u32::from(WHOLE - USABLE)) as u16;
         }
         let mut fit = LinearFit::new(&self.fit, &dense, &usable, part);
-        let see = self.thick.reach() + self.near;
-        let thick = spread(blur(clouds.part(part.grown(see, see)), &self.thick, None), self.near);
+        let thick_reach = self.thick.reach() + self.near;
+        let thick = spread(
+            blur(clouds.part(part.grown(thick_reach, thick_reach)), &self.thick, None),
+            self.near,
+        );
         let density = blur(clouds.part(around), &self.mean, None);
         let share = blur(outside.part(around), &self.mean.clone().gaining(0), None);
         for cell in places(part) {

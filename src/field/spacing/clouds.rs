@@ -20,7 +20,7 @@ pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
     let (field, mirror) = (frame.wide(wide.level), frame.facts.mirror(wide.level));
     let mut bins: Vec<IVec3> = field.keys().map(|key| key.coord()).collect();
     bins.sort_by_key(|bin| quick_hash(bin.as_dvec3().to_array()));
-    let (mut held, mut around) = (0.0, 0.0);
+    let (mut total, mut around) = (0.0, 0.0);
     for bin in bins.into_iter().take(BINS) {
         let block = field.gather_mirrored(CellBox::cube(bin, BIN).grown(1, 1), mirror);
         let size = block.cells().size().as_usizevec3();
@@ -30,13 +30,13 @@ pub fn spacing_by_clouds(frame: &SampledDif) -> Option<f64> {
             for y in 1..size.y - 1 {
                 for x in (1..size.x - 1).filter(|&x| at(x, y, z) > 0.0) {
                     let near = (0..27).map(|i| at(x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1));
-                    held += at(x, y, z);
+                    total += at(x, y, z);
                     around += at(x, y, z) * near.sum::<f64>();
                 }
             }
         }
     }
-    let particles = around / held / f64::from(wide.amount().steps());
+    let particles = around / total / f64::from(wide.amount().steps());
     let spacing = frame.facts.spacing? * 3.0 * wide.edge / libm::cbrt(particles);
     (spacing.is_finite() && spacing > 0.0).then_some(spacing)
 }

@@ -53,7 +53,7 @@ pub struct Spacings {
     /// The spacing of all particles, as if they were evenly distributed.
     pub mean: f64,
     /// For particles that clearly have two resolutions: the spacing of the majority, and the
-    /// spacing of the others.
+    /// spacing of the other particles.
     pub two: Option<[f64; 2]>,
 }
 
@@ -125,14 +125,14 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     let total: usize = counts.iter().sum();
     let mut below = 0;
     // The median, over all particles, of the count in the particle's cell.
-    let most = *counts.iter().find(|&&count| {
+    let typical = *counts.iter().find(|&&count| {
         below += count;
         2 * below >= total
     })?;
-    // `of` returns the counts from `from` to `to` times `most`.
-    let of = |from: f64, to: f64| {
+    // `between` returns the counts from `from` to `to` times `typical`.
+    let between = |from: f64, to: f64| {
         let [from, to] = [from, to]
-            .map(|bound| counts.partition_point(|&count| (count as f64) < bound * most as f64));
+            .map(|bound| counts.partition_point(|&count| (count as f64) < bound * typical as f64));
         &counts[from..to]
     };
     let cells = |part: &[usize]| part.len() as f64;
@@ -142,8 +142,8 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
         let near = part.iter().filter(|&&count| count <= 2 * median && median <= 2 * count);
         median >= ENOUGH_IN_CELL && near.count() as f64 > EVEN * cells(part)
     };
-    let (thin, thinner) = (of(0.25, 0.5), of(0.0, 0.25));
-    let (dense, denser) = (of(2.0, 4.0), of(4.0, f64::INFINITY));
+    let (thin, thinner) = (between(0.25, 0.5), between(0.0, 0.25));
+    let (dense, denser) = (between(2.0, 4.0), between(4.0, f64::INFINITY));
     let other = if cells(thinner) >= PART * cells(&counts) && cells(thinner) > 2.0 * cells(thin) {
         thinner
     } else if particles(denser) >= PART * total as f64 && particles(denser) > 2.0 * particles(dense)
@@ -153,7 +153,7 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
         return None;
     };
     let spacing = |part: &[usize]| cell * libm::cbrt(cells(part) / particles(part));
-    is_even(other).then(|| [spacing(of(0.5, 2.0)), spacing(other)])
+    is_even(other).then(|| [spacing(between(0.5, 2.0)), spacing(other)])
 }
 
 /// Numbers of particles per cell.

@@ -91,7 +91,7 @@ pub struct SpacingEstimate {
     /// The estimate.
     pub spacing: f64,
     /// For particles that clearly have two resolutions: the spacing of the majority, and the
-    /// spacing of the others.
+    /// spacing of the other particles.
     pub two: Option<[f64; 2]>,
     /// Whether the fluid is too thin or too ragged for a reliable estimate.
     pub thin: bool,
@@ -260,7 +260,7 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         }
     };
     let mut counted = count(&positions);
-    let look = |positions: &[[f64; 3]], counted: Option<Spacings>| {
+    let search = |positions: &[[f64; 3]], counted: Option<Spacings>| {
         let counted = counted.map(|counted| counted.mean);
         let all = || NeighbourSample::whole(positions.to_vec());
         let scale = match counted {
@@ -291,12 +291,12 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         // The middles of all cubes may miss a plane or a film.
         if found.suggested().is_some() { found } else { Neighbours::of(all()) }
     };
-    let mut neighbours = look(&positions, counted);
+    let mut neighbours = search(&positions, counted);
     if neighbours.coincident > 0 {
         let positions = sample::distinct(positions);
         places = positions.len();
         counted = count(&positions);
-        neighbours = look(&positions, counted);
+        neighbours = search(&positions, counted);
     }
     Some(Evidence { particles, places, counted, neighbours, place })
 }
@@ -401,8 +401,8 @@ impl CoordinateFacts {
         if some.is_empty() {
             some = vec![lo.into(), hi.into()];
         }
-        // Unused particles that are parked at one position count once. Stray particles move neither
-        // a median nor a quartile.
+        // Unused particles that are parked at one position count once. Stray particles hardly
+        // affect medians and quartiles.
         some.sort_unstable_by_key(|position| position.map(f64::to_bits));
         some.dedup();
         let mut quantile = |axis: usize, quarter: usize| {

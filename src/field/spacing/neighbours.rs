@@ -61,8 +61,8 @@ const ENOUGH: usize = 8;
 const FEWEST_QUERIES: usize = 300;
 /// The maximum number of queried particles.
 const MOST_QUERIES: usize = 2048;
-/// Within these limits, one particle in `PARTICLES_A_QUERY` is queried.
-const PARTICLES_A_QUERY: usize = 32;
+/// Within these limits, one particle in `PARTICLES_PER_QUERY` is queried.
+const PARTICLES_PER_QUERY: usize = 32;
 /// The number of queried particles if fewer queries suggest random positions.
 const QUERIES_OF_RANDOM: usize = 4096;
 
@@ -132,22 +132,22 @@ impl Neighbours {
         let all = positions.len() + coincident;
         let positions = distinct(positions);
         let coincident = all - positions.len();
-        let wanted = (positions.len() / PARTICLES_A_QUERY).clamp(FEWEST_QUERIES, MOST_QUERIES);
-        let shown = |&point: &[f64; 3]| {
-            let shown = cubes.map_or(Some(f64::INFINITY), |of| of.shown_around(point))?;
-            Some((point, shown))
+        let wanted = (positions.len() / PARTICLES_PER_QUERY).clamp(FEWEST_QUERIES, MOST_QUERIES);
+        let covered = |&point: &[f64; 3]| {
+            let covered = cubes.map_or(Some(f64::INFINITY), |of| of.covered_around(point))?;
+            Some((point, covered))
         };
-        let mut asked = positions
+        let mut queries = positions
             .iter()
-            .filter_map(shown)
+            .filter_map(covered)
             .take(QUERIES_OF_RANDOM.max(wanted))
             .collect::<Vec<_>>();
-        let more = asked.split_off(wanted.min(asked.len()));
+        let more = queries.split_off(wanted.min(queries.len()));
         let tree = PointTree::new(positions);
-        let found = |asked: Vec<([f64; 3], f64)>| {
-            asked.into_par_iter().map(|(point, shown)| Neighbourhood::of(&tree, point, shown))
+        let found = |queries: Vec<([f64; 3], f64)>| {
+            queries.into_par_iter().map(|(point, covered)| Neighbourhood::of(&tree, point, covered))
         };
-        let few: Vec<Neighbourhood> = found(asked).collect();
+        let few: Vec<Neighbourhood> = found(queries).collect();
         let by_few = Self::from_neighbourhoods(&few, coincident);
         if more.is_empty() || by_few.scatter.is_none() || !by_few.may_be_random() {
             return by_few;
@@ -160,8 +160,8 @@ impl Neighbours {
         let queried = all.len();
         let enough =
             |count: usize| count >= ENOUGH && count as f64 >= ENOUGH_SHARE * queried as f64;
-        // The estimate is for the fluid, not for spray around it: only the most densely packed
-        // particles count, according to the distance to their third neighbours.
+        // Only the most densely packed particles count, according to the distance to their third
+        // neighbours, so that spray around the fluid does not affect the estimate.
         let mut thirds: Vec<f64> =
             all.iter().map(|of| of.distances[2]).filter(|d| d.is_finite()).collect();
         thirds.sort_unstable_by(f64::total_cmp);
@@ -208,8 +208,8 @@ impl Neighbours {
     pub fn has_solid(&self, spacing: f64) -> bool {
         const SOME: f64 = 0.02;
         let below = |ratio: f64| self.solids.partition_point(|&solid| solid < ratio * spacing);
-        let there = below(1.25) - below(0.8);
-        there >= ENOUGH && there as f64 >= SOME * self.queried as f64
+        let fitting = below(1.25) - below(0.8);
+        fitting >= ENOUGH && fitting as f64 >= SOME * self.queried as f64
     }
 
     /// The spacing that the distances to the nearest neighbours suggest, even if few particles were
@@ -278,13 +278,13 @@ impl Neighbours {
 }
 
 impl Neighbourhood {
-    fn of(tree: &PointTree, point: [f64; 3], shown: f64) -> Self {
+    fn of(tree: &PointTree, point: [f64; 3], covered: f64) -> Self {
         let nearest = tree.nearest(point);
         let mut distances = [f64::INFINITY; NEIGHBOURS];
         let found = &nearest.found[..nearest.count];
         for (distance, (squared, _)) in distances.iter_mut().zip(found) {
             let length = squared.sqrt();
-            *distance = if length <= shown { length } else { f64::INFINITY };
+            *distance = if length <= covered { length } else { f64::INFINITY };
         }
         let moments = |count: usize| {
             let farthest = distances[count - 1];
@@ -392,7 +392,7 @@ impl NearestPoints {
 
     /// Adds a point if it is one of the nearest. A point at the same position is ignored.
     #[inline]
-    fn see(&mut self, at: DVec3) {
+    fn add(&mut self, at: DVec3) {
         let squared = at.length_squared();
         if squared >= self.farthest() || squared == 0.0 {
             return;
@@ -423,13 +423,13 @@ impl PointTree {
 
     fn search(&self, range: Range<usize>, point: DVec3, nearest: &mut NearestPoints) {
         if range.len() <= LEAF {
-            self.points[range].iter().for_each(|&other| nearest.see(DVec3::from(other) - point));
+            self.points[range].iter().for_each(|&other| nearest.add(DVec3::from(other) - point));
             return;
         }
         let middle = range.start + range.len() / 2;
         let axis = usize::from(self.axes[middle]);
         let at = DVec3::from(self.points[middle]) - point;
-        nearest.see(at);
+        nearest.add(at);
         let halves = [range.start..middle, middle + 1..range.end];
         let own = usize::from(at[axis] < 0.0);
         self.search(halves[own].clone(), point, nearest);

@@ -16,7 +16,7 @@ pub const SHARE: usize = 1 << 18;
 /// An even sample of the positions of many particles.
 pub struct EvenSample {
     one_in: u64,
-    held: Mutex<SampledPositions>,
+    sampled: Mutex<SampledPositions>,
 }
 
 /// The positions of a sample, and the bounds of all particles so far.
@@ -51,19 +51,19 @@ impl EvenSample {
 
     fn one_in(one_in: u64) -> Self {
         let bounds = Bounds::NONE;
-        let held = SampledPositions {
+        let sampled = SampledPositions {
             positions: Vec::new(),
             room: 4 * SHARE,
             has_duplicates: false,
             bounds,
         };
-        Self { one_in, held: Mutex::new(held) }
+        Self { one_in, sampled: Mutex::new(sampled) }
     }
 
     /// Adds the sample's share of the particles at `positions`. Positions that are not finite are
     /// ignored.
     pub fn add(&self, positions: &[[f64; 3]]) {
-        let mut ours = [[0.0; 3]; BATCH];
+        let mut selected = [[0.0; 3]; BATCH];
         let mut bounds = Bounds::NONE;
         let mut taken = Vec::new();
         for positions in positions.chunks(BATCH) {
@@ -71,34 +71,34 @@ impl EvenSample {
             // This loop has no branch, because a branch would be unpredictable.
             let mut end = 0;
             for &position in positions {
-                ours[end] = position;
+                selected[end] = position;
                 end += usize::from(position_hash(position) & (self.one_in - 1) == 0);
             }
-            taken.extend_from_slice(&ours[..end]);
+            taken.extend_from_slice(&selected[..end]);
         }
         if bounds.finite < positions.len() {
             taken.retain(|position| DVec3::from(*position).is_finite());
         }
         let all = taken.len();
         taken.dedup_by_key(|position| position.map(f64::to_bits));
-        let mut held = self.held.lock().unwrap_or_else(PoisonError::into_inner);
-        held.has_duplicates |= taken.len() < all;
-        held.bounds = held.bounds.joined(bounds);
-        held.positions.extend(taken);
-        if held.positions.len() > held.room {
-            held.drop_duplicates();
-            held.room = (2 * held.positions.len()).max(4 * SHARE);
+        let mut sampled = self.sampled.lock().unwrap_or_else(PoisonError::into_inner);
+        sampled.has_duplicates |= taken.len() < all;
+        sampled.bounds = sampled.bounds.joined(bounds);
+        sampled.positions.extend(taken);
+        if sampled.positions.len() > sampled.room {
+            sampled.drop_duplicates();
+            sampled.room = (2 * sampled.positions.len()).max(4 * SHARE);
         }
     }
 
     /// Finishes the sample.
     pub fn taken(self) -> FinishedSample {
-        let Self { one_in, held } = self;
-        let mut held = held.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let all = held.positions.len();
-        let positions = without_duplicates(std::mem::take(&mut held.positions));
-        let has_duplicates = held.has_duplicates || positions.len() < all;
-        let bounds = held.bounds;
+        let Self { one_in, sampled } = self;
+        let mut sampled = sampled.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let all = sampled.positions.len();
+        let positions = without_duplicates(std::mem::take(&mut sampled.positions));
+        let has_duplicates = sampled.has_duplicates || positions.len() < all;
+        let bounds = sampled.bounds;
         let (taken, all) = (positions.len() as f64, bounds.finite as f64);
         let expected = taken * one_in as f64;
         // If the sample is smaller than chance explains, it lacks a position with many particles.
@@ -190,7 +190,7 @@ impl Cubes {
 
     /// The largest distance such that all neighbours within it are in the particle's cube; `None`
     /// if the particle is not in the middle third of the cube along every axis.
-    pub fn shown_around(&self, position: [f64; 3]) -> Option<f64> {
+    pub fn covered_around(&self, position: [f64; 3]) -> Option<f64> {
         let of_axis = |c: &f64| {
             // Coordinate 0, where floors and planes often are, is in the middle of a cube.
             let at = c / self.edge + 0.5;
@@ -239,11 +239,11 @@ pub fn distinct(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
 /// The distinct positions in any order; faster than [`distinct`] if there are no duplicates.
 fn without_duplicates(positions: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     let numbers: Vec<u64> = positions.par_iter().map(|&position| position_hash(position)).collect();
-    if some_are_alike(&numbers) { distinct(positions) } else { positions }
+    if any_equal(&numbers) { distinct(positions) } else { positions }
 }
 
 /// Whether any two of the hashes are equal.
-fn some_are_alike(numbers: &[u64]) -> bool {
+fn any_equal(numbers: &[u64]) -> bool {
     /// The number of upper bits of a hash that index a table of bits. With this number, different
     /// hashes rarely share a bit.
     const BITS: u32 = 23;
@@ -314,8 +314,8 @@ impl CubeSample {
         for positions in positions.chunks(BATCH) {
             let numbers = &mut numbers[..positions.len()];
             cube_numbers(self.cubes, positions, numbers);
-            let both = positions.iter().zip(&*numbers).filter(|&(_, &number)| number < end);
-            taken.extend(both.map(|(&position, &number)| OccupiedPlace {
+            let selected = positions.iter().zip(&*numbers).filter(|&(_, &number)| number < end);
+            taken.extend(selected.map(|(&position, &number)| OccupiedPlace {
                 number,
                 position,
                 several: false,

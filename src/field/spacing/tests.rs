@@ -54,12 +54,12 @@ fn part_of(particles: &[[f64; 3]]) -> Vec<[f64; 3]> {
 #[test]
 fn a_sample_has_distinct_and_finite_positions() {
     let places = layers([30; 3], 1.0 / 3.0);
-    for (copies, strange) in [(1, 0), (1, 5), (2, 0), (3, 700)] {
+    for (copies, invalid) in [(1, 0), (1, 5), (2, 0), (3, 700)] {
         let share = EvenSample::of(places.len());
-        let strange = vec![[0.0, f64::NAN, f64::INFINITY]; strange];
-        let mut shown = places.repeat(copies);
-        shown.splice(100..100, strange);
-        shown.chunks(1000).for_each(|positions| share.add(positions));
+        let invalid = vec![[0.0, f64::NAN, f64::INFINITY]; invalid];
+        let mut input = places.repeat(copies);
+        input.splice(100..100, invalid);
+        input.chunks(1000).for_each(|positions| share.add(positions));
         let mut taken = share.taken();
         let sorted = |positions: &mut Vec<[f64; 3]>| {
             positions.sort_unstable_by_key(|position| position.map(f64::to_bits));

@@ -164,13 +164,13 @@ pub fn archive(
 impl AbcObject {
     /// Appends the object. Returns its group, and a hash of all data in it.
     fn put(&self, blocks: &mut OgawaBlocks, list: &mut MetadataList) -> (OgawaChild, Digest) {
-        let (compound, of_properties) = put_compound(&self.properties, blocks, list);
+        let (compound, properties_hash) = put_compound(&self.properties, blocks, list);
         let mut group = vec![compound];
-        let (mut headers, mut of_children) = (Vec::new(), ContentHasher::default());
+        let (mut headers, mut children_hash) = (Vec::new(), ContentHasher::default());
         for child in &self.children {
             let (object, hash) = child.put(blocks, list);
             group.push(object);
-            of_children.update(&hash);
+            children_hash.update(&hash);
             headers.extend((child.name.len() as u32).to_le_bytes());
             headers.extend(child.name.as_bytes());
             let index = list.index(&child.metadata);
@@ -180,12 +180,12 @@ impl AbcObject {
                 headers.extend(child.metadata.as_bytes());
             }
         }
-        let of_children = of_children.finish();
-        headers.extend(of_properties);
-        headers.extend(of_children);
+        let children_hash = children_hash.finish();
+        headers.extend(properties_hash);
+        headers.extend(children_hash);
         group.push(blocks.data(&headers));
         let name = [self.name, &self.metadata].concat();
-        let hash = [&of_properties, &of_children, name.as_bytes()].concat();
+        let hash = [&properties_hash, &children_hash, name.as_bytes()].concat();
         (blocks.group(&group), ContentHasher::of(&hash))
     }
 }

@@ -30,12 +30,12 @@ impl ContentHasher {
 
     /// Appends bytes to the hashed data.
     pub fn update(&mut self, mut bytes: &[u8]) {
-        let begun = self.rest_length();
+        let buffered = self.rest_length();
         self.bytes += bytes.len() as u64;
-        if begun > 0 {
-            let (completing, after) = bytes.split_at(bytes.len().min(BLOCK - begun));
-            self.rest[begun..][..completing.len()].copy_from_slice(completing);
-            if begun + completing.len() < BLOCK {
+        if buffered > 0 {
+            let (completing, after) = bytes.split_at(bytes.len().min(BLOCK - buffered));
+            self.rest[buffered..][..completing.len()].copy_from_slice(completing);
+            if buffered + completing.len() < BLOCK {
                 return;
             }
             self.block(self.rest);

@@ -9,8 +9,8 @@
 //! `archive.json` in the folder says where the frames are in the archive. It is replaced after the
 //! header has changed. The next addition first truncates the archive to the size in `archive.json`.
 //! The groups of earlier additions stay in the archive, but are no longer used. The groups of one
-//! addition take 16 bytes for each array of each frame. A frame that is computed again also leaves
-//! its old bytes in the archive.
+//! addition take about 16 bytes for each array of each frame. A frame that is computed again also
+//! leaves its old bytes in the archive.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -160,7 +160,7 @@ impl FrameArchive {
         }
         // Other processes may add frames at the same time, so this locks the folder if the file
         // system supports locks.
-        let alone = File::open(&self.folder).ok().filter(|folder| folder.lock().is_ok());
+        let folder_lock = File::open(&self.folder).ok().filter(|folder| folder.lock().is_ok());
         let mut known = self.frames();
         if known.fingerprint != fingerprint {
             known = ArchivedFrames { archive: known.archive, fingerprint, ..Default::default() };
@@ -174,7 +174,7 @@ impl FrameArchive {
         self.append(&mut known, mesh, &path, times)?;
         let table = serde_json::to_vec(&known).expect("string keys and finite depth");
         replace_small(&self.table(), &table).map_err(fail)?;
-        drop(alone);
+        drop(folder_lock);
         fs::remove_file(&path).map_err(fail)
     }
 
@@ -234,11 +234,12 @@ fn extend(
     root: OgawaChild,
 ) -> io::Result<()> {
     let mut archive = OpenOptions::new().read(true).write(true).open(path)?;
-    let mut root_there = [0; 8];
+    let mut stored_root = [0; 8];
     archive.seek(SeekFrom::Start(HEADER - 8))?;
-    archive.read_exact(&mut root_there)?;
-    if u64::from_le_bytes(root_there) != known.root {
-        // An earlier process was killed after it changed the header but before it stored the table.
+    archive.read_exact(&mut stored_root)?;
+    if u64::from_le_bytes(stored_root) != known.root {
+        // An earlier process was killed after it changed the header but before it replaced
+        // `archive.json`.
         set_root(&mut archive, known.root)?;
     }
     archive.set_len(known.end)?;

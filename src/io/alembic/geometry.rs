@@ -10,7 +10,7 @@ use super::content_hash::{ContentHasher, Digest};
 use super::ogawa::{HEADER, LENGTH, OgawaBlocks, OgawaChild};
 
 /// The index of the time sampling of the mesh.
-const OF_FRAMES: u32 = 1;
+const FRAME_SAMPLING: u32 = 1;
 
 /// An array of a mesh, or the bounding box of the mesh.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -188,15 +188,15 @@ pub fn objects(frames: &[Vec<(AbcArray, AbcSample)>], blocks: &mut OgawaBlocks) 
         if !seen.insert(key) {
             continue;
         }
-        let of_frame = |frame: &Vec<(AbcArray, AbcSample)>| {
-            let same = |(other, _): &&(AbcArray, AbcSample)| {
+        let sample_in_frame = |frame: &Vec<(AbcArray, AbcSample)>| {
+            let is_same_array = |(other, _): &&(AbcArray, AbcSample)| {
                 other.header == array.header && other.is_arbitrary == array.is_arbitrary
             };
-            frame.iter().find(same).map_or_else(AbcSample::empty, |(_, sample)| *sample)
+            frame.iter().find(is_same_array).map_or_else(AbcSample::empty, |(_, sample)| *sample)
         };
-        let samples = frames.iter().map(of_frame).collect();
+        let samples = frames.iter().map(sample_in_frame).collect();
         let values =
-            AbcProperty::Values { header: array.header.clone(), samples, sampling: OF_FRAMES };
+            AbcProperty::Values { header: array.header.clone(), samples, sampling: FRAME_SAMPLING };
         if array.is_arbitrary { &mut arbitrary } else { &mut own }.push(values);
     }
     if !arbitrary.is_empty() {

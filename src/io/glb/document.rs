@@ -94,7 +94,7 @@ fn compression(view: &GlbView, offset: u64, length: u64) -> Value {
         "count": view.count,
         "mode": if view.is_indices() { "TRIANGLES" } else { "ATTRIBUTES" },
     });
-    match view.what {
+    match view.content {
         ViewContent::Normals => compression["filter"] = json!("OCTAHEDRAL"),
         ViewContent::Attribute(..) => compression["filter"] = json!("EXPONENTIAL"),
         ViewContent::Positions | ViewContent::Indices => {}
@@ -117,7 +117,7 @@ fn accessor(
         "count": view.count,
         "type": kind,
     });
-    if matches!(view.what, ViewContent::Positions) {
+    if matches!(view.content, ViewContent::Positions) {
         let [min, max] = match compression {
             GlbCompression::None => bounds.map(|corner| json!(space.stored(corner))),
             GlbCompression::Meshopt => bounds.map(|corner| json!(space.on_grid(corner))),
@@ -130,7 +130,7 @@ fn accessor(
     accessor
 }
 
-/// The node that shows the mesh, with its position, rotation and scale.
+/// The node of the mesh, with its translation, rotation and scale.
 fn node(up: UpAxis, space: Space) -> Value {
     let mut node = json!({ "mesh": 0 });
     if up == UpAxis::Z {

@@ -4,7 +4,7 @@
 //! view. Vertices and triangles have an order that suits vertex caches. In glTF, y points up. If z
 //! points up in the input, the node rotates the mesh.
 //!
-//! With compression, all data is quantized (KHR_mesh_quantization) and encoded
+//! With compression, vertex data is quantized (KHR_mesh_quantization), and all data is encoded
 //! (EXT_meshopt_compression, which requires version 0 of the vertex codec):
 //!
 //! | data | stored as | maximum error |
@@ -52,7 +52,7 @@ pub enum GlbCompression {
 /// The grid step of compressed positions. It is the smallest power of two for which 2^16 - 2 steps
 /// span `extent`.
 pub fn grid_step(extent: f64) -> f64 {
-    // The mesh's box is not aligned to the grid, so each end may take an additional step.
+    // The mesh's box is not aligned to the grid, so the positions may span one more step.
     let least = extent.max(f64::MIN_POSITIVE) / f64::from(u16::MAX - 1);
     2f64.powi(libm::log2(least).ceil() as i32)
 }

@@ -49,7 +49,7 @@ impl Space {
 
 /// A buffer view with its accessor.
 pub struct GlbView {
-    pub what: ViewContent,
+    pub content: ViewContent,
     /// The name of the attribute in the file. Empty for indices.
     pub name: String,
     pub components: usize,
@@ -71,8 +71,8 @@ pub enum ViewContent {
 /// The views of all data of a mesh. The last view contains the indices.
 pub fn views(mesh: &OrderedMesh, compression: GlbCompression) -> Vec<GlbView> {
     let vertices = mesh.vertex_count();
-    let view = |what, name: &str, components, scalar, stride| GlbView {
-        what,
+    let view = |content, name: &str, components, scalar, stride| GlbView {
+        content,
         name: name.to_owned(),
         components,
         scalar,
@@ -93,12 +93,12 @@ pub fn views(mesh: &OrderedMesh, compression: GlbCompression) -> Vec<GlbView> {
     for (index, (info, name)) in attributes.iter().zip(names(&attributes)).enumerate() {
         if let Some(name) = name {
             let stride = 4 * info.components as u64;
-            let what = ViewContent::Attribute(index, info.kind);
-            views.push(view(what, &name, info.components, FLOAT, stride));
+            let content = ViewContent::Attribute(index, info.kind);
+            views.push(view(content, &name, info.components, FLOAT, stride));
         }
     }
     views.push(GlbView {
-        what: ViewContent::Indices,
+        content: ViewContent::Indices,
         name: String::new(),
         components: 1,
         scalar: UNSIGNED_INT,
@@ -150,7 +150,7 @@ pub fn renamed(attributes: &[AttributeInfo]) -> Vec<[String; 2]> {
 
 impl GlbView {
     pub fn is_indices(&self) -> bool {
-        matches!(self.what, ViewContent::Indices)
+        matches!(self.content, ViewContent::Indices)
     }
 
     pub fn bytes(&self) -> u64 {
@@ -159,14 +159,14 @@ impl GlbView {
 
     /// Writes the elements without compression.
     pub fn write(&self, out: &mut dyn Write, mesh: &OrderedMesh, space: Space) -> io::Result<()> {
-        match self.what {
+        match self.content {
             ViewContent::Indices => write_triangles(out, mesh, |triangles, out| {
                 let corners = triangles.as_flattened().iter();
                 corners.for_each(|&vertex| out.extend((vertex as u32).to_le_bytes()));
             }),
-            what => write_vertices(out, mesh, |vertices, out| {
+            content => write_vertices(out, mesh, |vertices, out| {
                 let mut put = |value: &f32| out.extend(value.to_le_bytes());
-                match what {
+                match content {
                     ViewContent::Normals => vertices.normals.as_flattened().iter().for_each(put),
                     ViewContent::Attribute(index, kind) => {
                         vertices.attributes[index].iter().for_each(|&x| put(&stored(kind, x)));
@@ -182,7 +182,7 @@ impl GlbView {
 
     /// Returns the compressed elements.
     pub fn encoded(&self, mesh: &OrderedMesh, space: Space) -> io::Result<Vec<u8>> {
-        let encoded = match self.what {
+        let encoded = match self.content {
             ViewContent::Positions => {
                 let points = gathered(mesh, |vertices, out| {
                     out.extend(vertices.positions.iter().map(|&p| {

@@ -8,7 +8,7 @@ use hdf5_reader::group::Group;
 use crate::io::ReadFault;
 use crate::io::fields::shown;
 
-use super::file::checked;
+use super::file::convert_error;
 use super::groups::last_name;
 use super::table::scalar;
 
@@ -64,7 +64,7 @@ fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
         if !seen.insert(group.address()) || seen.len() > MOST_GROUPS {
             continue;
         }
-        let (mut groups, mut sets) = checked(group.members())?;
+        let (mut groups, mut sets) = convert_error(group.members())?;
         groups.sort_by(|a, b| a.name().cmp(b.name()));
         sets.sort_by(|a, b| a.name().cmp(b.name()));
         if depth > 0 && sets.is_empty() && groups.is_empty() {

@@ -45,7 +45,7 @@ impl<'a> H5File<'a> {
             .with_filter_registry(filters);
         let bytes = Arc::new(bytes);
         let storage = Arc::new(Ranges(Arc::clone(&bytes)));
-        let hdf = checked(Hdf5File::from_storage_with_options(storage, options))?;
+        let hdf = convert_error(Hdf5File::from_storage_with_options(storage, options))?;
         let (needed, have) = (hdf.superblock().eof_address, bytes.view().len() as u64);
         if needed > have && needed < u64::MAX {
             return Err(ReadFault::Truncated { what: "HDF5".to_owned(), needed, have });
@@ -54,11 +54,11 @@ impl<'a> H5File<'a> {
     }
 
     pub fn root(&self) -> Result<Group, ReadFault> {
-        checked(self.hdf.root_group())
+        convert_error(self.hdf.root_group())
     }
 
     pub fn group(&self, path: &str) -> Result<Group, ReadFault> {
-        checked(self.hdf.group(path))
+        convert_error(self.hdf.group(path))
     }
 
     /// Checks that the file has not changed since it was opened.
@@ -77,9 +77,9 @@ impl<'a> H5File<'a> {
 
     /// Byte offset in the file of a data set's rows, which take `bytes` bytes in total. `None` if
     /// the rows are not contiguous in this file, or if a filter encodes them.
-    pub fn place(&self, set: &Dataset, bytes: u64) -> Option<u64> {
+    pub fn contiguous_offset(&self, set: &Dataset, bytes: u64) -> Option<u64> {
         let header = self.hdf.get_or_parse_header(set.address()).ok()?;
-        let elsewhere = |message: &HdfMessage| {
+        let is_external_or_filtered = |message: &HdfMessage| {
             matches!(message, HdfMessage::ExternalFiles(_) | HdfMessage::FilterPipeline(_))
         };
         let address = header.messages.iter().find_map(|message| match message {
@@ -91,7 +91,7 @@ impl<'a> H5File<'a> {
         })?;
         let at = address.checked_add(self.hdf.superblock().base_address)?;
         let within = at.checked_add(bytes).is_some_and(|end| end <= self.bytes.view().len() as u64);
-        (within && !header.messages.iter().any(elsewhere)).then_some(at)
+        (within && !header.messages.iter().any(is_external_or_filtered)).then_some(at)
     }
 }
 
@@ -108,7 +108,7 @@ const FILTERS: [(&str, &str); 8] = [
 ];
 
 /// Converts an error of the HDF5 library.
-pub(super) fn checked<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
+pub(super) fn convert_error<T>(parsed: Parsed<T>) -> Result<T, ReadFault> {
     parsed.map_err(|error| match error {
         Error::Io(fault) => ReadFault::Io(fault),
         other => unsupported_in(&other).unwrap_or_else(|| malformed(0, other.to_string())),
@@ -136,8 +136,8 @@ fn unsupported_in(error: &Error) -> Option<ReadFault> {
             let name = FILTERS.iter().find(|(number, _)| which.ends_with(&format!(" {number}")));
             let name = name.map_or(&**which, |(_, name)| name);
             Some(ReadFault::Unsupported(format!(
-                "HDF5 compressed by {name}, which is not supported; rewrite it with gzip, for \
-                 example by h5repack -f GZIP=4 OLD NEW"
+                "the data is compressed by {name}, which is not supported; rewrite it with gzip, \
+                 for example by h5repack -f GZIP=4 OLD NEW"
             )))
         }
         _ => None,

@@ -14,12 +14,12 @@ use crate::particles::AttributeInfo;
 use crate::particles::condition::Where;
 
 use super::contents::{self, DEEPEST, MOST_GROUPS};
-use super::file::{H5File, checked, time_of, times_in};
+use super::file::{H5File, convert_error, time_of, times_in};
 use super::h5md;
 use super::table::{H5Array, H5Table, RowPart, chosen_type, scalar, types};
 
 /// The type of particles that is read by default, which is gas in snapshots.
-const USUAL: &str = "PartType0";
+const DEFAULT_TYPE: &str = "PartType0";
 
 /// A group, or a table in a group, that contains positions of particles.
 pub(super) struct GroupCandidate {
@@ -31,7 +31,7 @@ pub(super) struct GroupCandidate {
     pub arrangement: Arrangement,
 }
 
-/// The place of a field: a whole data set, or a part of each row of a data set.
+/// The location of a field's values: a whole data set, or a part of each row of a data set.
 struct FieldStorage {
     set: Arc<Dataset>,
     number: (Scalar, Endian),
@@ -105,7 +105,7 @@ impl GroupCandidate {
             (info, places(&found.places))
         });
         let attributes: Vec<_> = attributes.collect();
-        let position = places(&position.places).try_into().expect("found with three");
+        let position = places(&position.places).try_into().expect("three components");
         let present = match h5md::is_group(&self.group)? {
             true => h5md::present(&arrays, &attributes)?,
             false => None,
@@ -139,7 +139,7 @@ impl GroupSearch {
                      to a separate file, for example with h5copy"
                 )));
             }
-            let (mut groups, mut sets) = checked(group.members())?;
+            let (mut groups, mut sets) = convert_error(group.members())?;
             groups.sort_by(|a, b| a.name().cmp(b.name()));
             sets.sort_by(|a, b| a.name().cmp(b.name()));
             let elements = h5md::elements(&groups, file)?;
@@ -201,8 +201,10 @@ impl GroupSearch {
     /// list. The list is empty if there is only one candidate and no condition names it.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] if there is no candidate (the message lists the contents of
-    /// `root`), or if there are several and neither a condition nor the default selects one.
+    /// [`ReadFault::Unsupported`] if there are several candidates and a condition names none of
+    /// them, or if no condition names one and there is no default. If there is no candidate, the
+    /// error of the first group with positions that cannot be read, or else
+    /// [`ReadFault::Unsupported`] with the contents of `root`.
     pub fn chosen(
         mut self,
         root: &Group,
@@ -236,7 +238,7 @@ impl GroupSearch {
         let (index, chosen) = match by_path {
             Some((index, path)) => (index, path.to_owned()),
             None => {
-                let chosen = chosen_type(&names, wanted, Some(USUAL))?;
+                let chosen = chosen_type(&names, wanted, Some(DEFAULT_TYPE))?;
                 let index = names.iter().position(|name| *name == chosen).expect("one of them");
                 (index, chosen)
             }
@@ -344,7 +346,7 @@ fn pandas_items(sets: &[Dataset]) -> Result<Vec<(String, Vec<String>)>, ReadFaul
         let Some(block) = last_name(set.name()).strip_suffix("_items") else { continue };
         let is_text = matches!(set.dtype(), Datatype::String { .. } | Datatype::VarLen { .. });
         if block.starts_with("block") && is_text && set.ndim() == 1 {
-            all.push((format!("{block}_values"), checked(set.read_strings())?));
+            all.push((format!("{block}_values"), convert_error(set.read_strings())?));
         }
     }
     Ok(all)

@@ -7,7 +7,7 @@ use crate::io::ReadFault;
 use crate::particles::AttributeInfo;
 use crate::particles::sieve::Sieve;
 
-use super::file::{H5File, checked, number_of, numbers};
+use super::file::{H5File, convert_error, number_of, numbers};
 use super::groups::last_name;
 use super::table::{H5Array, Place};
 
@@ -26,10 +26,10 @@ const WINDOW: u64 = 1 << 16;
 pub fn elements(groups: &[Group], file: &H5File) -> Result<Vec<(String, Dataset)>, ReadFault> {
     let mut all = Vec::new();
     for group in groups {
-        let (_, sets) = checked(group.member_names())?;
+        let (_, sets) = convert_error(group.member_names())?;
         if sets.iter().any(|name| name == VALUE) {
             let name = last_name(group.name()).to_owned();
-            all.push((name, checked(group.dataset(VALUE))?, steps(group, &sets, file)?));
+            all.push((name, convert_error(group.dataset(VALUE))?, steps(group, &sets, file)?));
         }
     }
     let expected = all.iter().find(|(name, ..)| name == POSITION).map(|(.., steps)| steps.clone());
@@ -46,18 +46,18 @@ fn steps(group: &Group, sets: &[String], file: &H5File) -> Result<Option<Vec<i64
     if !sets.iter().any(|name| name == STEP) {
         return Ok(None);
     }
-    let steps = H5Array::new(checked(group.dataset(STEP))?);
+    let steps = H5Array::new(convert_error(group.dataset(STEP))?);
     let steps = steps.filter(|steps| steps.components == 1 && !steps.scalar.is_float());
     steps.map(|steps| steps.integers(file)).transpose()
 }
 
 /// Whether a group of particles has the structure of H5MD.
 pub fn is_group(group: &Group) -> Result<bool, ReadFault> {
-    let (groups, _) = checked(group.member_names())?;
+    let (groups, _) = convert_error(group.member_names())?;
     if !groups.iter().any(|name| name == POSITION) {
         return Ok(false);
     }
-    let (_, sets) = checked(checked(group.group(POSITION))?.member_names())?;
+    let (_, sets) = convert_error(convert_error(group.group(POSITION))?.member_names())?;
     Ok(sets.iter().any(|name| name == VALUE))
 }
 
@@ -126,7 +126,7 @@ mod tests {
     use super::lengths;
 
     #[test]
-    fn a_box_along_the_axes_is_given_by_lengths_or_vectors() {
+    fn box_edges_can_be_lengths_or_axis_aligned_vectors() {
         assert_eq!(lengths(&[1.0, 2.0, 3.0]), Some([1.0, 2.0, 3.0]));
         let vectors = [1.0, 0.0, -0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 3.0];
         assert_eq!(lengths(&vectors), Some([1.0, 2.0, 3.0]));

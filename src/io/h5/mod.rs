@@ -47,13 +47,13 @@ enum H5Layout {
 impl H5Layout {
     fn of(file: &H5File) -> Result<Self, ReadFault> {
         let root = file.root()?;
-        let (groups, _) = file::checked(root.member_names())?;
+        let (groups, _) = file::convert_error(root.member_names())?;
         let has = |name: &str| groups.iter().any(|group| group == name);
         Ok(if has(vtkhdf::ROOT) {
             Self::VtkHdf
         } else if root.attribute("openPMD").is_ok() {
             Self::OpenPmd
-        } else if has(snapshot::HEADER) && snapshot::says_pieces(&root) {
+        } else if has(snapshot::HEADER) && snapshot::has_snapshot_header(&root) {
             Self::Snapshot
         } else if has(pysph::PARTICLES) && has(pysph::SOLVER) {
             Self::PySph

@@ -17,11 +17,11 @@ use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
-use super::file::{H5File, checked, number, numbers, time_of};
+use super::file::{H5File, convert_error, number, numbers, time_of};
 use super::table::{H5Array, RowWindows, chosen_type, fault_of, types};
 
 /// Groups of a species that are not read as attributes of its particles.
-const NO_RECORDS: [&str; 3] = ["position", "positionOffset", "particlePatches"];
+const NOT_ATTRIBUTES: [&str; 3] = ["position", "positionOffset", "particlePatches"];
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// The group that contains all iterations. An attribute of the root contains the path of this
@@ -32,12 +32,12 @@ fn iterations(root: &Group) -> Result<Group, ReadFault> {
     let path = base.split("%T").next().unwrap_or_default().trim_matches('/').to_owned();
     path.split('/')
         .filter(|name| !name.is_empty())
-        .try_fold(root.clone(), |group, name| checked(group.group(name)))
+        .try_fold(root.clone(), |group, name| convert_error(group.group(name)))
 }
 
 /// The numbers of the iterations, in ascending order.
 pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
-    let (groups, _) = checked(iterations(&file.root()?)?.member_names())?;
+    let (groups, _) = convert_error(iterations(&file.root()?)?.member_names())?;
     let mut steps: Vec<u64> = groups.iter().filter_map(|name| name.parse().ok()).collect();
     steps.sort_unstable();
     Ok(steps)
@@ -60,23 +60,26 @@ pub fn read_particles(
         (None, [first, .., last]) => return Err(several_steps(*first, *last)),
     };
     let root = file.root()?;
-    let (groups, _) = checked(iterations(&root)?.member_names())?;
-    let name = groups.iter().find(|name| name.parse() == Ok(step)).expect("listed above");
-    let iteration = checked(iterations(&root)?.group(name))?;
+    let (groups, _) = convert_error(iterations(&root)?.member_names())?;
+    let name = groups
+        .iter()
+        .find(|name| name.parse() == Ok(step))
+        .expect("the iteration is in the list of steps");
+    let iteration = convert_error(iterations(&root)?.group(name))?;
     let time =
         time_of(&iteration).map(|time| time * number(&iteration, "timeUnitSI").unwrap_or(1.0));
     let path = root.attribute("particlesPath").and_then(|path| path.read_string());
     let path = path.unwrap_or_else(|_| "particles/".to_owned());
     let path = path.trim_matches('/');
-    let (groups, _) = checked(iteration.member_names())?;
+    let (groups, _) = convert_error(iteration.member_names())?;
     if !groups.iter().any(|group| path.split('/').next() == Some(group)) {
         let what = format!("iteration {step} contains no particles, only meshes");
         return Err(ReadFault::Unsupported(what));
     }
-    let all = checked(iteration.group(path))?;
-    let (known, _) = checked(all.member_names())?;
+    let all = convert_error(iteration.group(path))?;
+    let (known, _) = convert_error(all.member_names())?;
     let kind = chosen_type(&known, wanted.conditions, None)?;
-    let species = checked(all.group(&kind))?;
+    let species = convert_error(all.group(&kind))?;
     Ok(ParticleFile {
         time,
         unit_metres: Some(1.0),
@@ -101,7 +104,7 @@ enum RecordValues {
 impl Component {
     /// Reads a component: a data set, or a group with one value for all particles.
     fn named(group: &Group, name: &str) -> Result<Option<Self>, ReadFault> {
-        let (groups, sets) = checked(group.member_names())?;
+        let (groups, sets) = convert_error(group.member_names())?;
         if sets.iter().any(|set| set == name) {
             let array = H5Array::named(group, name)?;
             let unit =
@@ -112,7 +115,7 @@ impl Component {
         if !groups.iter().any(|group| group == name) {
             return Ok(None);
         }
-        Ok(Self::constant(&checked(group.group(name))?))
+        Ok(Self::constant(&convert_error(group.group(name))?))
     }
 
     fn constant(group: &Group) -> Option<Self> {
@@ -149,11 +152,11 @@ fn record(species: &Group, name: &str) -> Result<Option<Vec<Component>>, ReadFau
     if let Some(scalar) = Component::named(species, name)? {
         return Ok(Some(vec![scalar]));
     }
-    let (groups, _) = checked(species.member_names())?;
+    let (groups, _) = convert_error(species.member_names())?;
     if !groups.iter().any(|group| group == name) {
         return Ok(None);
     }
-    let group = checked(species.group(name))?;
+    let group = convert_error(species.group(name))?;
     let components: Vec<_> =
         AXES.into_iter().filter_map(|axis| Component::named(&group, axis).transpose()).collect();
     let components = components.into_iter().collect::<Result<Vec<_>, _>>()?;
@@ -178,12 +181,13 @@ fn particles(
     if position.iter().chain(offset.iter().flatten()).any(|component| component.rows() != rows) {
         return Err(malformed(0, "the components of the position differ in length"));
     }
-    let (groups, sets) = checked(species.member_names())?;
+    let (groups, sets) = convert_error(species.member_names())?;
     let mut names: Vec<String> = groups.into_iter().chain(sets).collect();
-    names.retain(|name| !NO_RECORDS.contains(&name.as_str()));
+    names.retain(|name| !NOT_ATTRIBUTES.contains(&name.as_str()));
     names.sort_unstable();
     let mut decoded = UnpackBuffer::new(file.unpacking);
-    let spot = columns_of(&position, offset.as_deref(), Scalar::F64, file, &mut decoded)?;
+    let position_columns =
+        columns_of(&position, offset.as_deref(), Scalar::F64, file, &mut decoded)?;
     let mut records = Vec::new();
     for name in names {
         let Some(components) = record(species, &name)? else { continue };
@@ -204,7 +208,7 @@ fn particles(
     let rows =
         usize::try_from(rows).map_err(|_| malformed(0, "more particles than can be addressed"))?;
     file.check()?;
-    let position = spot.try_into().expect("of three components");
+    let position = position_columns.try_into().expect("three components");
     let store: ColumnStore =
         ColumnStore::new(decoded.finish()?, ParticleRows::All(rows), position, attributes);
     Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })

@@ -5,7 +5,7 @@ use crate::io::wanted::{TAG, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
 use crate::particles::AttributeInfo;
 
-use super::file::{H5File, checked, time_of};
+use super::file::{H5File, convert_error, time_of};
 use super::table::{H5Array, H5Table, Place, chosen_type, types};
 
 /// Name of the group that contains the arrays of particles.
@@ -18,7 +18,7 @@ pub const SOLVER: &str = "solver_data";
 /// for periodic boundaries.
 pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
-    let (known, _) = checked(file.group(PARTICLES)?.member_names())?;
+    let (known, _) = convert_error(file.group(PARTICLES)?.member_names())?;
     let kind = chosen_type(&known, wanted.conditions, Some("fluid"))?;
     let arrays = H5Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
     let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;

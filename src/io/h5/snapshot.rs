@@ -17,7 +17,7 @@ use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
 use crate::particles::Particles;
 use crate::particles::condition::Where;
 
-use super::file::{H5File, checked, number, numbers, time_of};
+use super::file::{H5File, convert_error, number, numbers, time_of};
 use super::table::{H5Array, H5Table, named_type, no_type, types};
 
 /// Name of the group that contains the header.
@@ -32,7 +32,7 @@ const FORMAT: &str = "SWIFT or GADGET HDF5";
 #[derive(Debug, Clone, PartialEq)]
 struct SnapshotHeader {
     /// Number of particles of each type in this file.
-    here: Vec<u64>,
+    in_this_file: Vec<u64>,
     /// Number of particles of each type in all files.
     total: Option<Vec<u64>>,
     files: u64,
@@ -44,18 +44,18 @@ struct SnapshotHeader {
 }
 
 /// Whether the root has the header of a snapshot.
-pub fn says_pieces(root: &Group) -> bool {
+pub fn has_snapshot_header(root: &Group) -> bool {
     root.group(HEADER).is_ok_and(|header| header.attribute("NumPart_ThisFile").is_ok())
 }
 
 impl SnapshotHeader {
     fn read(root: &Group) -> Result<Self, ReadFault> {
-        let header = checked(root.group(HEADER))?;
+        let header = convert_error(root.group(HEADER))?;
         let counts = |name: &str| -> Option<Vec<u64>> {
             let counts = numbers(&header, name)?.into_iter();
             Some(counts.map(|count| if count >= 0.0 { count as u64 } else { 0 }).collect())
         };
-        let here = counts("NumPart_ThisFile").ok_or_else(|| {
+        let in_this_file = counts("NumPart_ThisFile").ok_or_else(|| {
             malformed(0, "the numbers of particles are missing (NumPart_ThisFile)")
         })?;
         let high = counts("NumPart_Total_HighWord").unwrap_or_default();
@@ -71,7 +71,7 @@ impl SnapshotHeader {
             _ => None,
         });
         Ok(Self {
-            here,
+            in_this_file,
             total,
             files: files as u64,
             time: time_of(&header),
@@ -83,7 +83,7 @@ impl SnapshotHeader {
 
     /// Names of the types that have particles in any file.
     fn types(&self) -> Vec<String> {
-        let counts = self.total.as_ref().unwrap_or(&self.here);
+        let counts = self.total.as_ref().unwrap_or(&self.in_this_file);
         (0..)
             .zip(counts)
             .filter(|(_, count)| **count > 0)
@@ -127,7 +127,7 @@ pub fn open_particles(
         let opened = wanted.pieces.of(paths.len()).max(1) as u64;
         let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
         let open = |(number, piece): (usize, &PathBuf)| {
-            if !wanted.pieces.hold(number) {
+            if !wanted.pieces.includes(number) {
                 return Ok(ParticleFile::new(Pieces::default(), FORMAT));
             }
             let bytes = open_bytes_within(piece, share)?;
@@ -192,10 +192,10 @@ fn read_piece(
     of: Option<&SnapshotHeader>,
 ) -> Result<ParticleFile, ReadFault> {
     if of.is_some_and(|of| !own.is_like(of)) {
-        return Err(malformed(0, "its header belongs to another snapshot"));
+        return Err(malformed(0, "the header belongs to another snapshot"));
     }
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
-    let announced = own.here.get(index).copied().unwrap_or(0);
+    let announced = own.in_this_file.get(index).copied().unwrap_or(0);
     if of.is_some() && announced == 0 {
         return Ok(ParticleFile::new(Pieces::default(), FORMAT));
     }
@@ -223,7 +223,7 @@ fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, Rea
         [base.file_stem(), base.extension()].map(|part| part.and_then(|part| part.to_str()));
     let unnamed = || {
         ReadFault::Unsupported(
-            "is one of several files; the names of the files must be like base.0.hdf5".into(),
+            "the snapshot has several files; their names must be like base.0.hdf5".into(),
         )
     };
     let (stem, extension) = stem.zip(extension).ok_or_else(|| ReadError::new(path, unnamed()))?;
@@ -241,6 +241,6 @@ fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, Rea
 /// snapshot.
 pub fn pieces_of(path: &Path) -> Option<u64> {
     let file = H5File::open(open_bytes(path).ok()?, Unpacking::in_memory()).ok()?;
-    let root = file.root().ok().filter(says_pieces)?;
+    let root = file.root().ok().filter(has_snapshot_header)?;
     SnapshotHeader::read(&root).ok().map(|header| header.files)
 }

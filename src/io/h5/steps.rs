@@ -7,7 +7,7 @@ use crate::io::error::{no_step, several_steps};
 use crate::io::wanted::WantedParticles;
 use crate::io::{ParticleFile, ReadFault};
 
-use super::file::{H5File, checked, time_of, times_in};
+use super::file::{H5File, convert_error, time_of, times_in};
 use super::groups::GroupSearch;
 
 /// Prefix of the names of H5Part's groups.
@@ -48,7 +48,7 @@ const PARENTS: [&str; 12] = [
 /// Reads a frame.
 ///
 /// The frame is stored in a numbered group or in arrays whose first axis counts frames, or it is
-/// the whole file. If there are several groups of particles, the group that `wanted` names is read.
+/// the whole file. If there are several groups of particles, [`GroupSearch::chosen`] selects one.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
@@ -107,7 +107,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 /// The groups that contain one frame each, sorted by number. These are the groups of H5Part, or
 /// else numbered groups with the same parent, if the first of them contains positions.
 fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
-    let groups = checked(root.groups())?;
+    let groups = convert_error(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
     if !h5part.is_empty() {
         return Ok(h5part);
@@ -117,8 +117,8 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
         let parent = group.name().to_ascii_lowercase();
         let parent = super::groups::last_name(&parent);
         let may_be = |name: &String| step_number(&name.to_ascii_lowercase(), parent).is_some();
-        if checked(group.member_names())?.0.iter().any(may_be) {
-            found.push(in_group(&checked(group.groups())?, |name| step_number(name, parent)));
+        if convert_error(group.member_names())?.0.iter().any(may_be) {
+            found.push(in_group(&convert_error(group.groups())?, |name| step_number(name, parent)));
         }
     }
     for frames in found {
@@ -130,8 +130,8 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
     Ok(Vec::new())
 }
 
-/// The groups in whose names `number` finds a number, each with its number. `number` is called with
-/// names in lower case.
+/// The groups whose names contain a number, each with its number, sorted by number. `number` finds
+/// the number in a name in lower case.
 fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64, Group)> {
     let number = |group: &Group| {
         let name = group.name().to_ascii_lowercase();
@@ -148,8 +148,8 @@ fn in_group(groups: &[Group], number: impl Fn(&str) -> Option<u64>) -> Vec<(u64,
 fn step_number(name: &str, parent: &str) -> Option<u64> {
     let digits = name.trim_start_matches(|letter: char| !letter.is_ascii_digit());
     let word = name[..name.len() - digits.len()].trim_end_matches(['#', '_', '-', ' ', ':', '=']);
-    let says_so = WORDS.contains(&word) || word.is_empty() && PARENTS.contains(&parent);
-    digits.parse().ok().filter(|_| says_so)
+    let is_frame = WORDS.contains(&word) || word.is_empty() && PARENTS.contains(&parent);
+    digits.parse().ok().filter(|_| is_frame)
 }
 
 #[cfg(test)]

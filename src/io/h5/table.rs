@@ -21,7 +21,7 @@ use crate::particles::AttributeInfo;
 use crate::particles::condition::Where;
 use crate::particles::sieve::Sieve;
 
-use super::file::{H5File, checked};
+use super::file::{H5File, convert_error};
 use super::groups::last_name;
 
 /// Number of bytes per decoding step, unless chunks are larger.
@@ -100,7 +100,7 @@ impl H5Array {
     /// All arrays of a group, in file order. [`H5Table`] leaves out arrays whose rows have too many
     /// numbers for an attribute.
     pub fn all_of(group: &Group) -> Result<Vec<Self>, ReadFault> {
-        Ok(checked(group.datasets())?.into_iter().filter_map(Self::of_any_width).collect())
+        Ok(convert_error(group.datasets())?.into_iter().filter_map(Self::of_any_width).collect())
     }
 
     /// All arrays of a group, sorted by name.
@@ -113,7 +113,7 @@ impl H5Array {
     /// The array `name` of a group. Returns an error if it does not exist, contains no numbers, or
     /// has too many numbers per row for an attribute.
     pub fn named(group: &Group, name: &str) -> Result<Self, ReadFault> {
-        let set = checked(group.dataset(name))?;
+        let set = convert_error(group.dataset(name))?;
         Self::new(set)
             .ok_or_else(|| malformed(0, format!("{name} does not consist of rows of numbers")))
     }
@@ -162,23 +162,23 @@ impl H5Array {
             |index: usize| (windows.rows(index % windows.count, self.rows), index / windows.count);
         // Number of bytes in memory while one batch of windows is decoded and the previous one is
         // stored.
-        let held = 4
+        let batch_bytes = 4
             * rayon::current_num_threads() as u64
             * windows.size.saturating_mul(self.stride() as u64);
-        let mut keep = |bytes: &[u8]| decoded.push(bytes).map_err(io::Error::other);
-        let read = if held <= file.unpacking.in_memory.max(WINDOW) {
+        let mut append = |bytes: &[u8]| decoded.push(bytes).map_err(io::Error::other);
+        let read = if batch_bytes <= file.unpacking.in_memory.max(WINDOW) {
             let make = |index: usize, out: &mut Vec<u8>| {
                 let (rows, component) = window(index);
                 self.bytes(rows, component, out).map_err(io::Error::other)
             };
-            in_order(count, make, keep)
+            in_order(count, make, append)
         } else {
             let mut bytes = Vec::new();
             (0..count).try_for_each(|index| {
                 bytes.clear();
                 let (rows, component) = window(index);
                 self.bytes(rows, component, &mut bytes).map_err(io::Error::other)?;
-                keep(&bytes)
+                append(&bytes)
             })
         };
         read.map_err(fault_of)
@@ -203,7 +203,8 @@ impl H5Array {
             RowPart::Frame(frame) => frame.checked_mul(self.rows)?.checked_mul(stride)?,
             _ => self.first.checked_mul(stride)?,
         };
-        let start = file.place(&self.set, rows.checked_mul(stride)?)?.checked_add(first)?;
+        let start =
+            file.contiguous_offset(&self.set, rows.checked_mul(stride)?)?.checked_add(first)?;
         Some(self.columns(usize::try_from(start).ok()?, self.rows, self.endian))
     }
 
@@ -235,7 +236,7 @@ impl H5Array {
         let chunk = u64::from(chunk).min(self.rows.max(1));
         let fit = WINDOW / (chunk * self.stride() as u64).max(1);
         let size = chunk * fit.max(1);
-        // The first window is shorter, so that it ends where a chunk ends.
+        // The first window may be shorter, so that it ends where a chunk ends.
         let lead = (size - self.first % size).min(self.rows);
         let count = usize::from(lead > 0) + (self.rows - lead).div_ceil(size) as usize;
         RowWindows { lead, size, count }
@@ -258,7 +259,7 @@ impl H5Array {
         if let RowPart::Member { stride, .. } = self.part {
             let before = out.len();
             let read =
-                checked(self.set.read_slice::<RawElement>(&self.selection(rows, component)))?;
+                convert_error(self.set.read_slice::<RawElement>(&self.selection(rows, component)))?;
             read.iter().for_each(|bytes| out.extend_from_slice(&bytes.0));
             if out.len() - before != (rows[1] - rows[0]) as usize * stride {
                 let what = format!("{} does not consist of rows of {stride} bytes", self.name);
@@ -348,7 +349,7 @@ impl H5Array {
     }
 
     fn values<T: H5Type>(&self, rows: [u64; 2], component: usize) -> Result<Vec<T>, ReadFault> {
-        let values = checked(self.set.read_slice::<T>(&self.selection(rows, component)))?;
+        let values = convert_error(self.set.read_slice::<T>(&self.selection(rows, component)))?;
         let values: Vec<T> = values.iter().cloned().collect();
         let components = if let RowPart::Columns = self.part { 1 } else { self.components };
         let expected = (rows[1] - rows[0]) as usize * components;
@@ -406,7 +407,7 @@ impl RowWindows {
     }
 
     /// The number of the window that contains a row.
-    pub fn holding(&self, row: u64) -> usize {
+    pub fn containing(&self, row: u64) -> usize {
         row.checked_sub(self.lead).map_or(0, |beyond| 1 + (beyond / self.size) as usize)
     }
 
@@ -473,8 +474,8 @@ impl H5Table {
     ///
     /// Returns `None` if there is no array `position` with three components.
     pub fn of_arrays(arrays: Vec<H5Array>, position: &str) -> Option<Self> {
-        let is_it = |array: &H5Array| array.name == position && array.components == 3;
-        let found = arrays.iter().position(is_it)?;
+        let is_position = |array: &H5Array| array.name == position && array.components == 3;
+        let found = arrays.iter().position(is_position)?;
         let position = [0, 1, 2].map(|component| (found, component));
         Some(Self::with_others(arrays, position, Vec::new()))
     }
@@ -584,20 +585,21 @@ pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
 }
 
 /// The chosen type of particles: the type that a condition names, or else the only type, or else
-/// `usual`, or else the only type with one of the names [`FLUIDS`]. The comparison with these names
-/// ignores case.
+/// `default_type` if `known` contains it, or else the only type with one of the names [`FLUIDS`].
+/// The comparison with these names ignores case.
 pub(super) fn chosen_type(
     known: &[String],
     wanted: &[Where],
-    usual: Option<&str>,
+    default_type: Option<&str>,
 ) -> Result<String, ReadFault> {
     match (named_type(known, wanted)?, known) {
         (Some(named), _) => Ok(named.to_owned()),
         (None, []) => Err(ReadFault::Unsupported("the file contains no particles".to_owned())),
         (None, [only]) => Ok(only.clone()),
         (None, _) => {
-            let usual = usual.filter(|usual| known.iter().any(|name| name == usual));
-            usual.or_else(|| only_fluid(known)).map(str::to_owned).ok_or_else(|| {
+            let default_type =
+                default_type.filter(|default_type| known.iter().any(|name| name == default_type));
+            default_type.or_else(|| only_fluid(known)).map(str::to_owned).ok_or_else(|| {
                 ReadFault::Unsupported(format!(
                     "the file contains several types: {}; choose one with the condition type=NAME",
                     list_of(known)

@@ -116,8 +116,8 @@ impl<'a> Binary<'a> {
         self.nesting.begin(event).map_err(|what| malformed(self.value_at, what))
     }
 
-    fn close(&mut self, begun: &JsonEvent) -> Result<JsonEvent, ReadFault> {
-        self.nesting.end(begun).map_err(|what| malformed(self.value_at, what))
+    fn close(&mut self, start: &JsonEvent) -> Result<JsonEvent, ReadFault> {
+        self.nesting.end(start).map_err(|what| malformed(self.value_at, what))
     }
 }
 

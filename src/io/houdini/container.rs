@@ -38,7 +38,7 @@ struct Chunks<'a> {
     last: u64,
 }
 
-/// Unpacks a container. Unpacks as many chunks in parallel as the memory allows.
+/// Unpacks a container. Unpacks several chunks in parallel if the memory suffices.
 ///
 /// # Errors
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damaged files,
@@ -65,10 +65,10 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFa
         let mut unpacked = UnpackBuffer::new(unpacking);
         let count = chunks.bounds.len() - 1;
         let room = (unpacking.in_memory / chunks.each.max(1)) as usize;
-        let at_once = room.clamp(1, 2 * rayon::current_num_threads());
+        let batch = room.clamp(1, 2 * rayon::current_num_threads());
         let mut several = Vec::new();
-        for first in (0..count).step_by(at_once) {
-            let end = count.min(first + at_once);
+        for first in (0..count).step_by(batch) {
+            let end = count.min(first + batch);
             several.resize(chunks.length(first..end) as usize, 0);
             chunks.unpack(first, &mut several, unpacking)?;
             unpacked.push(&several)?;
@@ -144,13 +144,13 @@ impl<'a> Chunks<'a> {
         let pieces = out.par_chunks_mut(self.each as usize).zip(&self.bounds[first..]);
         let pieces = pieces.zip(&self.bounds[first + 1..]);
         let results = pieces.map(|((piece, &start), &end)| {
-            unpacking.go_on()?;
+            unpacking.check_cancelled()?;
             let packed = self.view.read(start..end)?;
             self.view.release(start..end);
             blosc::unpack(&packed, piece).map_err(|fault| match fault {
                 blosc::BloscFault::Unknown(name) => ReadFault::Unsupported(format!(
-                    "compressed by {name}, which is not supported; save it uncompressed as \
-                     .bgeo"
+                    "the data is compressed by {name}, which is not supported; save it \
+                     uncompressed as .bgeo"
                 )),
                 blosc::BloscFault::Damaged(what) => malformed(start, format!("chunk: {what}")),
             })
@@ -167,7 +167,8 @@ pub struct ContainerWriter<'a> {
     out: &'a mut dyn Write,
     /// Bytes that have not been compressed yet.
     waiting: Vec<u8>,
-    at_once: usize,
+    /// Number of waiting bytes that are compressed together.
+    batch_bytes: usize,
     /// Total size, in bytes, of the chunks written so far.
     written: u64,
     /// Byte offset of each chunk, relative to the first chunk.
@@ -183,8 +184,8 @@ impl<'a> ContainerWriter<'a> {
     pub fn new(out: &'a mut dyn Write) -> io::Result<Self> {
         out.write_all(MAGIC)?;
         out.write_all(&0_u64.to_be_bytes())?;
-        let at_once = 2 * rayon::current_num_threads() * CHUNK;
-        Ok(Self { out, waiting: Vec::new(), at_once, written: 0, starts: Vec::new(), last: 0 })
+        let batch_bytes = 2 * rayon::current_num_threads() * CHUNK;
+        Ok(Self { out, waiting: Vec::new(), batch_bytes, written: 0, starts: Vec::new(), last: 0 })
     }
 
     fn pack(&mut self) -> io::Result<()> {
@@ -218,9 +219,9 @@ impl<'a> ContainerWriter<'a> {
 
 impl Write for ContainerWriter<'_> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let taken = buffer.len().min(self.at_once - self.waiting.len());
+        let taken = buffer.len().min(self.batch_bytes - self.waiting.len());
         self.waiting.extend_from_slice(&buffer[..taken]);
-        if self.waiting.len() == self.at_once {
+        if self.waiting.len() == self.batch_bytes {
             self.pack()?;
         }
         Ok(taken)

@@ -110,9 +110,9 @@ impl Nesting {
         Ok(event)
     }
 
-    pub fn end(&mut self, begun: &JsonEvent) -> Result<JsonEvent, String> {
+    pub fn end(&mut self, start: &JsonEvent) -> Result<JsonEvent, String> {
         match self.0.pop() {
-            Some(open) if open == *begun => Ok(JsonEvent::End),
+            Some(open) if open == *start => Ok(JsonEvent::End),
             _ => Err("found the end of a list or map without its start".to_owned()),
         }
     }

@@ -65,7 +65,10 @@ impl GeometryForm {
             let what = "the classic .geo text format is not supported; save it as .bgeo.sc";
             return Err(ReadFault::Unsupported(what.to_owned()));
         }
-        Err(malformed(0, "not a Houdini geometry: it begins neither with \"BgeoV\" nor as JSON"))
+        Err(malformed(
+            0,
+            "not a Houdini geometry: the file starts neither with \"BgeoV\" nor with JSON",
+        ))
     }
 }
 
@@ -97,8 +100,8 @@ pub fn read_particles(
         GeometryForm::Classic => bgeo::read_particles(bytes),
         form => {
             let opened = OpenedGeometry::of(bytes, form, unpacking)?;
-            let loose = opened.loose()?;
-            opened.arrange(loose, wanted, unpacking)
+            let selected = opened.select_particles()?;
+            opened.arrange(selected, wanted, unpacking)
         }
     }
 }
@@ -152,7 +155,7 @@ impl OpenedGeometry {
                 (schema::read(&mut json, document, &mut gathered)?, endian)
             }
             GeometryForm::Classic | GeometryForm::Container => {
-                return Err(malformed(0, "contains no geometry of version 12 or later"));
+                return Err(malformed(0, "the file contains no geometry of Houdini 12 or later"));
             }
         };
         view.check()?;
@@ -170,7 +173,7 @@ impl OpenedGeometry {
         Ok(Self { geometry, bytes, endian, gathered, format })
     }
 
-    fn stores(&self) -> NumberBytes<'_> {
+    fn number_bytes(&self) -> NumberBytes<'_> {
         NumberBytes { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
     }
 
@@ -179,7 +182,7 @@ impl OpenedGeometry {
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there are points, but no particles.
-    fn loose(&self) -> Result<Option<Sieve>, ReadFault> {
+    fn select_particles(&self) -> Result<Option<Sieve>, ReadFault> {
         let geometry = &self.geometry;
         if geometry.kinds.is_empty() {
             return Ok(None);
@@ -187,9 +190,9 @@ impl OpenedGeometry {
         let points = geometry.points;
         let run = geometry.vertex_points;
         // The memory for a bit per point is bounded, because the number of points was checked.
-        let mut bound = Sieve::none(points as usize);
+        let mut used_by_primitives = Sieve::none(points as usize);
         let mut vertex = 0;
-        let (bytes, endian) = self.stores().of(run.place);
+        let (bytes, endian) = self.number_bytes().of(run.place);
         run.numbers.each(bytes, endian, |number| {
             let point = match number {
                 JsonNumber::Integer(point) => {
@@ -202,19 +205,19 @@ impl OpenedGeometry {
             })?;
             let word = geometry.particle_vertices.get(vertex / 64).copied().unwrap_or_default();
             if word >> (vertex % 64) & 1 == 0 {
-                Sieve::set(&mut bound, point as usize);
+                Sieve::set(&mut used_by_primitives, point as usize);
             }
             vertex += 1;
             Ok(())
         })?;
-        let mut free = bound;
-        free.iter_mut().for_each(|word| *word = !*word);
-        if let Some(last) = free.last_mut()
+        let mut unused = used_by_primitives;
+        unused.iter_mut().for_each(|word| *word = !*word);
+        if let Some(last) = unused.last_mut()
             && !points.is_multiple_of(64)
         {
             *last &= (1 << (points % 64)) - 1;
         }
-        let sieve = Sieve::new(free);
+        let sieve = Sieve::new(unused);
         if sieve.count() == 0 && points > 0 {
             return Err(no_particles(geometry));
         }
@@ -228,7 +231,7 @@ impl OpenedGeometry {
         wanted: WantedAttributes,
         unpacking: Unpacking,
     ) -> Result<ParticleFile, ReadFault> {
-        let stores = self.stores();
+        let stored_numbers = self.number_bytes();
         let Geometry { points, attributes, time, .. } = &self.geometry;
         let is_position = |a: &&HoudiniAttribute| &*a.name == "P" && a.texts.is_none();
         let position = attributes.iter().find(is_position).ok_or_else(|| {
@@ -246,10 +249,10 @@ impl OpenedGeometry {
         let is_read = wanted.among(&infos);
         let read: Vec<&HoudiniAttribute> =
             numeric.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(*a)).collect();
-        let labels = others().filter(|a| a.texts.is_some() && wanted.hold_label(&a.name));
+        let labels = others().filter(|a| a.texts.is_some() && wanted.includes_label(&a.name));
         let labels: Vec<&HoudiniAttribute> = labels.collect();
 
-        let found = |attribute: &&HoudiniAttribute| stores.columns(&attribute.values);
+        let found = |attribute: &&HoudiniAttribute| stored_numbers.columns(&attribute.values);
         let in_place: Option<Vec<_>> = [position].iter().chain(&read).map(found).collect();
         let in_place = in_place.filter(|found| {
             labels.is_empty() && found.iter().all(|(place, _)| *place == found[0].0)
@@ -260,7 +263,7 @@ impl OpenedGeometry {
                 (found.into_iter().map(|(_, columns)| columns).collect(), Err(place), Vec::new())
             }
             None => {
-                let mut columns = UnpackedColumns::new(stores, *points, unpacking);
+                let mut columns = UnpackedColumns::new(stored_numbers, *points, unpacking);
                 let all = [position].into_iter().chain(read.iter().copied());
                 let numbers: Vec<Vec<Column>> =
                     all.map(|attribute| columns.push(attribute)).collect::<Result<_, _>>()?;
@@ -268,7 +271,7 @@ impl OpenedGeometry {
                 for label in labels {
                     found.extend(columns.push_texts(label)?);
                 }
-                stores.document.check()?;
+                stored_numbers.document.check()?;
                 (numbers, Ok(columns.finish()?), found)
             }
         };
@@ -299,7 +302,7 @@ impl OpenedGeometry {
 }
 
 /// The number of primitives of each kind.
-fn counted(geometry: &Geometry) -> Vec<(String, u64)> {
+fn primitive_counts(geometry: &Geometry) -> Vec<(String, u64)> {
     let named = geometry.kinds.iter().map(|(kind, count)| {
         let known = match &**kind {
             "Poly" | "p_r" | "Polygon_run" => "polygons",
@@ -319,7 +322,7 @@ fn counted(geometry: &Geometry) -> Vec<(String, u64)> {
 }
 
 fn left_out(geometry: &Geometry, points: u64) -> UnreadPart {
-    UnreadPart::Primitives { kinds: counted(geometry), points }
+    UnreadPart::Primitives { kinds: primitive_counts(geometry), points }
 }
 
 fn no_particles(geometry: &Geometry) -> ReadFault {

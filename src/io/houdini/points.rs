@@ -159,18 +159,18 @@ type LabelColumn = (Label, (Column, Vec<u32>));
 
 /// Unpacks the columns of attributes, one attribute after another.
 pub struct UnpackedColumns<'a> {
-    stores: NumberBytes<'a>,
+    source: NumberBytes<'a>,
     unpacked: UnpackBuffer<'a>,
     points: u64,
     /// Maximum number of bytes that may still be added.
-    left: u64,
+    remaining_bytes: u64,
 }
 
 impl<'a> UnpackedColumns<'a> {
     /// Starts without attributes. Each added attribute must have values for `points` points.
-    pub fn new(stores: NumberBytes<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
-        let left = unpacked_limit(stores.document.len() as u64);
-        Self { stores, unpacked: UnpackBuffer::new(unpacking), points, left }
+    pub fn new(source: NumberBytes<'a>, points: u64, unpacking: Unpacking<'a>) -> Self {
+        let remaining_bytes = unpacked_limit(source.document.len() as u64);
+        Self { source, unpacked: UnpackBuffer::new(unpacking), points, remaining_bytes }
     }
 
     /// Returns the bytes of all columns.
@@ -193,22 +193,22 @@ impl<'a> UnpackedColumns<'a> {
                 let none = self.start(name, Scalar::F64, Endian::Little, 1)?;
                 let mut columns = vec![none; values.components as usize];
                 for (column, run) in columns.iter_mut().zip(runs) {
-                    let endian = self.stores.of(run.place).1;
+                    let endian = self.source.of(run.place).1;
                     *column = self.start(name, run.numbers.storage.scalar(), endian, 1)?;
-                    self.stores.each(*run, &mut |stored| self.unpacked.push(stored))?;
+                    self.source.each(*run, &mut |stored| self.unpacked.push(stored))?;
                 }
                 return Ok(columns);
             }
         };
-        let endian = self.stores.of(run.place).1;
+        let endian = self.source.of(run.place).1;
         let scalar = run.numbers.storage.scalar();
         let first = self.start(name, scalar, endian, values.components as usize)?;
         let mut take = |stored: &[u8]| self.unpacked.push(stored);
         match &values.data {
             ValueLayout::Pages(pages) => {
-                self.stores.each_of_pages(pages, self.points, &mut take)?
+                self.source.each_of_pages(pages, self.points, &mut take)?
             }
-            _ => self.stores.each(*run, &mut take)?,
+            _ => self.source.each(*run, &mut take)?,
         }
         Ok(components(first, values))
     }
@@ -240,7 +240,7 @@ impl<'a> UnpackedColumns<'a> {
                 _ => return Ok(None),
             },
         };
-        let endian = self.stores.of(run.place).1;
+        let endian = self.source.of(run.place).1;
         let scalar = run.numbers.storage.scalar();
         let mut numbers = Vec::new();
         let mut take = |stored: &[u8]| {
@@ -264,8 +264,8 @@ impl<'a> UnpackedColumns<'a> {
             self.unpacked.push(&numbers)
         };
         match pages {
-            Some(pages) => self.stores.each_of_pages(pages, self.points, &mut take)?,
-            None => self.stores.each(run, &mut take)?,
+            Some(pages) => self.source.each_of_pages(pages, self.points, &mut take)?,
+            None => self.source.each(run, &mut take)?,
         }
         let none: Rc<str> = "".into();
         let unique: BTreeSet<&str> = texts.iter().chain([&none]).map(|text| &**text).collect();
@@ -285,12 +285,13 @@ impl<'a> UnpackedColumns<'a> {
         components: usize,
     ) -> Result<Column, ReadFault> {
         let stride = components * scalar.size();
-        let needed = self.points.checked_mul(stride as u64).filter(|bytes| *bytes <= self.left);
-        self.left -= needed.ok_or_else(|| {
+        let needed =
+            self.points.checked_mul(stride as u64).filter(|bytes| *bytes <= self.remaining_bytes);
+        self.remaining_bytes -= needed.ok_or_else(|| {
             let what = format!(
                 "attribute {name} of {} points is too large for a file of {} bytes",
                 self.points,
-                self.stores.document.len()
+                self.source.document.len()
             );
             ReadFault::Compression(what)
         })?;

@@ -16,7 +16,7 @@ pub struct Text<'a> {
     store: Slice<'a>,
     at: usize,
     /// Position of the first byte whose memory has not been released.
-    held: usize,
+    unreleased: usize,
     /// Position of the last value that was read.
     value_at: usize,
     nesting: Nesting,
@@ -26,7 +26,7 @@ impl<'a> Text<'a> {
     /// Creates a reader at the start of a text. A byte order mark is skipped.
     pub fn new(store: Slice<'a>) -> Self {
         let at = if store.starts_with(b"\xef\xbb\xbf") { 3 } else { 0 };
-        Self { store, at, held: at, value_at: at, nesting: Nesting::default() }
+        Self { store, at, unreleased: at, value_at: at, nesting: Nesting::default() }
     }
 
     fn rest(&self) -> &'a [u8] {
@@ -38,9 +38,9 @@ impl<'a> Text<'a> {
     fn skip_blanks(&mut self) {
         let is_blank = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
         self.at += self.rest().iter().take_while(is_blank).count();
-        if self.at - self.held >= PASSED {
-            self.store.release(self.held..self.at);
-            self.held = self.at;
+        if self.at - self.unreleased >= PASSED {
+            self.store.release(self.unreleased..self.at);
+            self.unreleased = self.at;
         }
     }
 

@@ -49,7 +49,7 @@ enum Type {
 
 impl Type {
     /// The name of the type, and the byte that stands for it in binary JSON.
-    fn spelled(self) -> (&'static str, u8) {
+    fn name_and_code(self) -> (&'static str, u8) {
         match self {
             Self::F32 => ("fpreal32", 0x19),
             Self::F64 => ("fpreal64", 0x1a),
@@ -153,8 +153,8 @@ pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<S
 /// start.
 fn identifier(name: &str) -> String {
     let plain = name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '_', "_");
-    let is_begun = plain.starts_with(|c: char| !c.is_ascii_digit());
-    if is_begun { plain } else { format!("_{plain}") }
+    let is_valid_start = plain.starts_with(|c: char| !c.is_ascii_digit());
+    if is_valid_start { plain } else { format!("_{plain}") }
 }
 
 fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
@@ -201,7 +201,7 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
 
 impl PointArray {
     fn write(&self, out: &mut dyn Write, mesh: &dyn MeshSource) -> io::Result<()> {
-        let (storage, _) = self.storage.spelled();
+        let (storage, _) = self.storage.name_and_code();
         let size = self.components as u64;
         let mut head = Tokens(b"[[".to_vec());
         head.text("scope").text("public").text("type").text("numeric");
@@ -299,7 +299,7 @@ impl Tokens {
 
     /// Starts an array of `count` numbers. The caller must write the numbers next.
     fn array(&mut self, storage: Type, count: u64) -> &mut Self {
-        self.byte(0x40).byte(storage.spelled().1).length(count)
+        self.byte(0x40).byte(storage.name_and_code().1).length(count)
     }
 }
 
@@ -314,7 +314,7 @@ mod tests {
         let mesh = Mesh { positions, triangles: vec![[0, 1, 2]], ..Mesh::default() };
         let mut bytes = Vec::new();
         write_document(&mut bytes, &mesh, CoordinateWidth::F32)
-            .expect("writing to memory succeeds");
+            .expect("writing to a `Vec` does not fail");
         let corners: Vec<u8> = [0_u32, 2, 1].iter().flat_map(|i| i.to_le_bytes()).collect();
         assert!(bytes.windows(corners.len()).any(|window| window == corners));
     }

@@ -101,15 +101,15 @@ pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, Read
 #[derive(Debug)]
 struct MapWindow {
     bytes: PrivateBytes,
-    looked_at: AtomicU64,
+    accessed_bytes: AtomicU64,
 }
 
 impl MapWindow {
     /// Counts accessed bytes, and releases the map's memory after more than [`RELEASED`] bytes.
     /// Must be called after every access.
-    fn looked_at(&self, bytes: u64) {
-        if self.looked_at.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
-            self.looked_at.store(0, Ordering::Relaxed);
+    fn count_access(&self, bytes: u64) {
+        if self.accessed_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
+            self.accessed_bytes.store(0, Ordering::Relaxed);
             self.bytes.release(0..self.bytes.len());
         }
     }
@@ -117,7 +117,7 @@ impl MapWindow {
     fn hash(&self, range: Range<usize>, hasher: &mut Hasher) {
         for chunk in self.bytes[range].chunks(CHUNK) {
             hasher.update(chunk);
-            self.looked_at(chunk.len() as u64);
+            self.count_access(chunk.len() as u64);
         }
     }
 }
@@ -173,7 +173,7 @@ impl MappedPages {
                     }
                 }
             };
-            self.window.looked_at(compressed.len() as u64);
+            self.window.count_access(compressed.len() as u64);
             wrong.map(|wrong| malformed(self.first[page] as usize, format!("page {page} {wrong}")))
         });
         fault.map_or(Ok(()), Err)
@@ -210,9 +210,8 @@ struct FieldPages {
 impl PageSource for FieldPages {
     fn samples(&self, page: usize) -> Vec<u16> {
         let (all, page) = (&*self.all, self.first + page);
-        let samples =
-            all.decompress(page).expect("a frame that does not change after it is opened");
-        all.window.looked_at(all.compressed(page).len() as u64 + AROUND);
+        let samples = all.decompress(page).expect("the file does not change after it is opened");
+        all.window.count_access(all.compressed(page).len() as u64 + AROUND);
         samples
     }
 }
@@ -238,7 +237,7 @@ struct SizeFacts {
 
 fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     let (version, side) = read_header(&bytes)?;
-    let window = MapWindow { bytes, looked_at: AtomicU64::new(0) };
+    let window = MapWindow { bytes, accessed_bytes: AtomicU64::new(0) };
     let footer = read_tail(&window)?;
     let mut cursor = Cursor::new(window.bytes.view(), footer, Endian::Little);
     let (facts, indicator, sizes, count) = read_facts(&mut cursor)?;
@@ -253,7 +252,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     let index = (window.bytes.len() - TAIL).checked_sub(cursor.at());
     let index = index.ok_or_else(|| malformed(footer, "the footer reaches into the tail"))?;
     if count.checked_mul(ENTRY as u64) != Some(index as u64) || u32::try_from(count).is_err() {
-        let what = format!("an index of {index} bytes cannot be that of {count} pages");
+        let what = format!("the index has {index} bytes, which does not fit {count} pages");
         return Err(malformed(cursor.at(), what));
     }
     let count = count as usize;
@@ -284,7 +283,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
         first.push(end);
         bricks.push(entry.info.bricks.count_ones() as u8);
         checksums.push(entry.checksum);
-        window.looked_at(ENTRY as u64);
+        window.count_access(ENTRY as u64);
     }
     if end != footer as u64 {
         return Err(malformed(
@@ -299,7 +298,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     let places = if facts.periodic.is_some() { 8 } else { 1 };
     // If the particles have several sizes, each particle is in two fields.
     let fields_a_particle = u64::from(field_count.min(2));
-    let most = places * fields_a_particle * shape.cells_a_particle() as u64;
+    let most = places * fields_a_particle * shape.cells_per_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
         return Err(malformed(
             footer,
@@ -318,8 +317,8 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
     let version = cursor.u32("the version")?;
     if !(FIRST_VERSION..=SIZES_VERSION).contains(&version) {
         let what = format!(
-            "version {version} of packed frames; versions {FIRST_VERSION} to {SIZES_VERSION} are \
-             supported"
+            "version {version} of packed frames is not supported, only {FIRST_VERSION} to \
+             {SIZES_VERSION}"
         );
         return Err(ReadFault::Unsupported(what));
     }
@@ -328,7 +327,9 @@ fn read_header(bytes: &[u8]) -> Result<(u32, BrickSide), ReadFault> {
         4 => Ok((version, BrickSide::Four)),
         8 => Ok((version, BrickSide::Eight)),
         16 => Ok((version, BrickSide::Sixteen)),
-        other => Err(malformed(at, format!("bricks of {other} cells; expected 4, 8 or 16"))),
+        other => {
+            Err(malformed(at, format!("the edge of a brick is {other} cells, expected 4, 8 or 16")))
+        }
     }
 }
 
@@ -342,7 +343,7 @@ fn read_tail(window: &MapWindow) -> Result<usize, ReadFault> {
     }
     let tail = bytes.len() - TAIL;
     let mut cursor = Cursor::new(bytes.view(), tail, Endian::Little);
-    let footer = cursor.u64("the footer's place")?;
+    let footer = cursor.u64("the footer's position")?;
     let checksum = cursor.u32("the footer's checksum")?;
     if cursor.take("the end mark", END_MAGIC.len() as u64)? != END_MAGIC {
         return Err(malformed(
@@ -395,7 +396,7 @@ fn read_facts(
             check_finest(spacing_cells, grid.cell_size()).map_err(|e| fault(&e))?;
             Indicator::Cloud
         }
-        other => return Err(fault(&format!("indicator {other}; expected 0, 1 or 2"))),
+        other => return Err(fault(&format!("the indicator is {other}, expected 0, 1 or 2"))),
     };
     let mut particles = || {
         let count = cursor.u64("a number of particles")?;
@@ -415,7 +416,8 @@ fn read_facts(
     let sizes = match flags & SIZES {
         0 => None,
         _ if indicator != Indicator::Cloud => {
-            let what = "particles of several sizes need the indicator cloud, not another indicator";
+            let what =
+                "particles of several sizes need the indicator cloud, but the file has another";
             return Err(fault(&what));
         }
         _ => Some(read_sizes(cursor, &facts)?),
@@ -483,7 +485,7 @@ fn read_entry(
 ) -> Result<PageEntry, ReadFault> {
     let at = cursor.at();
     let key = MortonKey(cursor.u64("a page's key")?);
-    let offset = cursor.u64("a page's place")?;
+    let offset = cursor.u64("a page's position")?;
     let bricks = cursor.u64("a page's bricks")?;
     let length = u64::from(cursor.u32("a page's size")?);
     let checksum = cursor.u32("a page's checksum")?;
@@ -495,7 +497,7 @@ fn read_entry(
     let local = CellBox { lo: corner()?, hi: corner()? };
     let field = cursor.u16("a page's field")?;
     if u32::from(field) >= fields {
-        let what = format!("a page refers to field {field} of {fields}, counted from 0");
+        let what = format!("a page refers to field {field}, but the last field is {}", fields - 1);
         return Err(malformed(at, what));
     }
 
@@ -508,10 +510,10 @@ fn read_entry(
     let limits = grid.in_wider_cells(octave).grown(further, further);
     let walls = facts.domain.map(|domain| domain.in_wider_cells(octave).cells());
     let limits = walls.map_or(limits, |walls| walls.intersection(&limits));
-    let beyond = bricks.checked_shr(side.bricks_a_bin() as u32).unwrap_or(0);
+    let beyond = bricks.checked_shr(side.bricks_per_bin() as u32).unwrap_or(0);
     let info = PageInfo { key, bricks, full, full_count };
     let wrong = [
-        (MortonKey::of(coord) != key, "a page's key names no bin"),
+        (MortonKey::of(coord) != key, "the Morton key of a page is invalid"),
         (bricks == 0 || beyond != 0, "a page has no bricks, or bricks outside of its bin"),
         (local.is_empty() || local.hi.max_element() > BIN, "a page's box is not in its bin"),
         (!limits.covers(&full), "a page's box is beyond the grid or the walls"),

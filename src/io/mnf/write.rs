@@ -109,14 +109,14 @@ impl<W: Write> FrameWriter<W> {
             let CompressedPages { bytes, parts } = compressed?;
             self.out.write_all(&bytes)?;
             for ((info, _), (length, checksum)) in pages.iter().zip(parts) {
-                self.enter(info, length, checksum);
+                self.push_index_entry(info, length, checksum);
             }
         }
         Ok(())
     }
 
     /// Adds the entry of a page to the index.
-    fn enter(&mut self, info: &PageInfo, length: usize, checksum: u32) {
+    fn push_index_entry(&mut self, info: &PageInfo, length: usize, checksum: u32) {
         let corner = info.key.coord() * BIN;
         let index = &mut self.index;
         index.extend(info.key.0.to_le_bytes());
@@ -142,14 +142,15 @@ impl<W: Write> FrameWriter<W> {
     /// this function appends.
     fn finish_with(mut self, mut footer: Vec<u8>) -> io::Result<u64> {
         footer.extend(self.pages.to_le_bytes());
-        let place = self.at.to_le_bytes();
+        let footer_at = self.at.to_le_bytes();
         let mut hasher = Hasher::new();
-        [&self.header[..], &footer, &self.index, &place]
+        [&self.header[..], &footer, &self.index, &footer_at]
             .into_iter()
             .for_each(|part| hasher.update(part));
         self.out.write_all(&footer)?;
         self.out.write_all(&self.index)?;
-        self.out.write_all(&[&place[..], &hasher.finalize().to_le_bytes(), &END_MAGIC].concat())?;
+        self.out
+            .write_all(&[&footer_at[..], &hasher.finalize().to_le_bytes(), &END_MAGIC].concat())?;
         self.out.flush()?;
         Ok(self.at + (footer.len() + self.index.len() + TAIL) as u64)
     }

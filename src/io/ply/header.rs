@@ -6,7 +6,7 @@ use crate::io::columns::{Endian, Scalar};
 use crate::io::scan::Lines;
 
 /// Length, in bytes, of the longest comment keyword, including the space after it.
-const REMARK: usize = "obj_info ".len();
+const LONGEST_KEYWORD: usize = "obj_info ".len();
 
 /// The encoding of the rows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,7 +72,7 @@ impl PlyHeader {
         loop {
             let here = lines.clone();
             let fault = |what: String| here.fault(here.at(), what);
-            let ahead = lines.ahead(REMARK)?;
+            let ahead = lines.ahead(LONGEST_KEYWORD)?;
             if matches!(ahead.split(u8::is_ascii_whitespace).next(), Some(b"comment" | b"obj_info"))
             {
                 lines.skip_line()?;
@@ -102,12 +102,12 @@ impl PlyHeader {
                         .ok_or_else(|| fault(format!("{text:?} is not a valid property")))?;
                     let element = elements
                         .last_mut()
-                        .ok_or_else(|| fault("a property has no element".into()))?;
+                        .ok_or_else(|| fault("a property precedes the first element".into()))?;
                     element.properties.push(property);
                 }
                 ["end_header"] => {
-                    let encoding =
-                        encoding.ok_or_else(|| fault("the header names no format".into()))?;
+                    let encoding = encoding
+                        .ok_or_else(|| fault("the header does not name a format".into()))?;
                     return Ok(Self { encoding, elements, body: lines.at() });
                 }
                 _ => return Err(fault(format!("{text:?} is not a valid line of a .ply header"))),

@@ -35,11 +35,11 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// Reads the rows of `vertex` as particles, whether or not there are faces. Binary rows are read in
 /// place. Text is decoded to columns of f64.
 ///
-/// The properties x, y and z may have any order and place. vx, vy and vz (or `velocity_x`, `vel_x`,
-/// ...) form the attribute `velocity`. nx, ny and nz form `normal`. red, green, blue and optionally
-/// alpha form `color`. Consecutive properties `a_0`, `a_1`, ... form one attribute `a`. Every other
-/// property becomes an attribute with its own name. Lists are skipped, and elements after `vertex`
-/// are not read.
+/// The properties x, y and z may be anywhere, in any order. vx, vy and vz (or `velocity_x`,
+/// `vel_x`, ...) form the attribute `velocity`. nx, ny and nz form `normal`. red, green, blue and
+/// optionally alpha form `color`. Consecutive properties `a_0`, `a_1`, ... form one attribute `a`.
+/// Every other property becomes an attribute with its own name. Lists are skipped, and elements
+/// after `vertex` are not read.
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid header or row of text, [`ReadFault::Truncated`] for fewer
@@ -90,7 +90,7 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     let mut triangles = Triangles::new(vertices.count)?;
     if let Some((element, list)) = faces(&header)? {
         let at = start(view, &header, element)?;
-        walk(bytes, header.encoding, element, at, Some(list), |face, at, corners| {
+        for_each_row(bytes, header.encoding, element, at, Some(list), |face, at, corners| {
             triangles.polygon(face, at, corners)
         })?;
     }
@@ -104,7 +104,7 @@ pub(super) fn vertices(
 ) -> Result<FileVertices, ReadFault> {
     let element = header.elements.iter().find(|element| element.name == "vertex");
     let element =
-        element.ok_or_else(|| malformed(header.body, "the header names no element `vertex`"))?;
+        element.ok_or_else(|| malformed(header.body, "the header has no element `vertex`"))?;
     let plain = element.without_lists();
     let axis = |name| {
         let index = plain.property(name);
@@ -225,7 +225,7 @@ fn plain_rows(
         for property in &element.properties {
             let start = scan.at();
             let length = list_length(&mut scan, encoding, element, property)?;
-            pass(&mut scan, encoding, property.scalar, length)?;
+            skip_values(&mut scan, encoding, property.scalar, length)?;
             if property.list.is_none() {
                 piece.extend_from_slice(&bytes[start..scan.at()]);
             }
@@ -301,7 +301,7 @@ fn decode_row(scan: &mut Scanner, element: &Element, rows: &mut Vec<u8>) -> Resu
     for property in &element.properties {
         if property.list.is_some() {
             let length = list_length(scan, Encoding::Ascii, element, property)?;
-            pass(scan, Encoding::Ascii, property.scalar, length)?;
+            skip_values(scan, Encoding::Ascii, property.scalar, length)?;
         } else {
             scan.skip_blanks();
             rows.extend_from_slice(&scan.number::<f64>()?.to_le_bytes());
@@ -385,7 +385,7 @@ fn skip(
             Ok(rows.at())
         }
         (Encoding::Binary(_), None) => {
-            walk(bytes.kept()?.bytes(), encoding, element, at, None, |_, _, _| Ok(()))
+            for_each_row(bytes.kept()?.bytes(), encoding, element, at, None, |_, _, _| Ok(()))
         }
     }
 }
@@ -393,7 +393,7 @@ fn skip(
 /// Calls `visit` for each row of `element`, whose first row starts at byte `at`. Passes the row's
 /// number, its byte offset, and the list in property number `list`. Returns the byte offset of the
 /// end of the rows.
-fn walk(
+fn for_each_row(
     bytes: &[u8],
     encoding: Encoding,
     element: &Element,
@@ -416,7 +416,7 @@ fn walk(
                     values.push(next_integer(&mut scan, encoding, property.scalar)?);
                 }
             } else {
-                pass(&mut scan, encoding, property.scalar, length)?;
+                skip_values(&mut scan, encoding, property.scalar, length)?;
             }
         }
         if encoding == Encoding::Ascii {
@@ -457,7 +457,7 @@ fn next_integer(scan: &mut Scanner, encoding: Encoding, scalar: Scalar) -> Resul
     }
 }
 
-fn pass(
+fn skip_values(
     scan: &mut Scanner,
     encoding: Encoding,
     scalar: Scalar,

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
 use crate::io::up::noted;
-use crate::particles::kind::SHARES;
+use crate::particles::kind::COMPONENT_NAMES;
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
@@ -100,14 +100,15 @@ pub(in crate::io) fn attribute_names(
     attributes: &[AttributeInfo],
     has_normals: bool,
 ) -> Vec<String> {
-    named(attributes, has_normals).into_iter().map(|(name, _)| name).collect()
+    named_properties(attributes, has_normals).into_iter().map(|(name, _)| name).collect()
 }
 
 /// Names of the properties of `vertex`. All of them are different.
 fn property_names(mesh: &dyn MeshSource) -> Vec<String> {
-    let properties =
-        named(&mesh.attributes(), mesh.has_normals()).into_iter().flat_map(|(_, names)| names);
-    fixed(mesh.has_normals()).into_iter().chain(properties).collect()
+    let properties = named_properties(&mesh.attributes(), mesh.has_normals())
+        .into_iter()
+        .flat_map(|(_, names)| names);
+    fixed_properties(mesh.has_normals()).into_iter().chain(properties).collect()
 }
 
 fn group(name: &str) -> Option<Vec<String>> {
@@ -116,16 +117,17 @@ fn group(name: &str) -> Option<Vec<String>> {
 }
 
 /// The property names of positions and normals.
-fn fixed(has_normals: bool) -> Vec<String> {
+fn fixed_properties(has_normals: bool) -> Vec<String> {
     let normals = if has_normals { group(NORMAL) } else { None };
     ["x", "y", "z"].map(str::to_owned).into_iter().chain(normals.into_iter().flatten()).collect()
 }
 
 /// For each attribute, its name in the file and the names of its properties.
-fn named(attributes: &[AttributeInfo], has_normals: bool) -> Vec<(String, Vec<String>)> {
-    let mut taken = fixed(has_normals);
+fn named_properties(attributes: &[AttributeInfo], has_normals: bool) -> Vec<(String, Vec<String>)> {
+    let mut taken = fixed_properties(has_normals);
     let colour = colour_attribute(attributes);
-    let shares = |components| SHARES[..components].iter().map(ToString::to_string).collect();
+    let shares =
+        |components| COMPONENT_NAMES[..components].iter().map(ToString::to_string).collect();
     let name = |(index, info): (usize, &AttributeInfo)| {
         let AttributeInfo { name, components, .. } = info;
         let grouped = group(name).filter(|_| *components == 3);

@@ -127,9 +127,9 @@ pub struct LineFields<'a> {
     /// Number of expected fields that have not been returned yet.
     missing: usize,
     /// Whether a separator ended the last field.
-    open: bool,
+    ended_by_separator: bool,
     /// Whether the line contains `#`.
-    marked: bool,
+    has_hash: bool,
 }
 
 impl<'a> LineFields<'a> {
@@ -139,8 +139,8 @@ impl<'a> LineFields<'a> {
             Separator::Byte(b'\t') => line,
             _ => line.trim_ascii(),
         };
-        let marked = memchr(b'#', line).is_some();
-        Self { line, at: 0, separator, missing: expected, open: false, marked }
+        let has_hash = memchr(b'#', line).is_some();
+        Self { line, at: 0, separator, missing: expected, ended_by_separator: false, has_hash }
     }
 
     fn is_blank(&self, byte: u8) -> bool {
@@ -153,7 +153,10 @@ impl<'a> LineFields<'a> {
             Separator::Blanks => byte <= b' ' && byte.is_ascii_whitespace(),
             Separator::Byte(separator) => {
                 byte == separator
-                    || self.marked && byte == b'#' && at > start && self.is_blank(self.line[at - 1])
+                    || self.has_hash
+                        && byte == b'#'
+                        && at > start
+                        && self.is_blank(self.line[at - 1])
             }
         }
     }
@@ -188,7 +191,7 @@ impl<'a> Iterator for LineFields<'a> {
             self.at += 1;
         }
         let Some(&first) = line.get(self.at) else {
-            let has_empty = std::mem::take(&mut self.open) && self.missing > 0;
+            let has_empty = std::mem::take(&mut self.ended_by_separator) && self.missing > 0;
             self.missing = self.missing.saturating_sub(1);
             return has_empty.then_some(&[]);
         };
@@ -206,9 +209,9 @@ impl<'a> Iterator for LineFields<'a> {
         while end < line.len() && !self.ends_field(end, from) {
             end += 1;
         }
-        self.open = line.get(end).is_some_and(|&byte| byte != b'#');
-        self.at = end + usize::from(self.open);
-        self.open &= self.separator != Separator::Blanks;
+        self.ended_by_separator = line.get(end).is_some_and(|&byte| byte != b'#');
+        self.at = end + usize::from(self.ended_by_separator);
+        self.ended_by_separator &= self.separator != Separator::Blanks;
         self.missing = self.missing.saturating_sub(1);
         Some(line[start..end].trim_ascii_end())
     }

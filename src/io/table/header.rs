@@ -565,13 +565,13 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     texts().any(|text| {
         vectors_in(text).iter().any(|(names, _)| is_fitting(names))
             || names_others_first(text, fields, first)
-            || calls_x_otherwise(text, fields, first)
+            || gives_x_another_name(text, fields, first)
     })
 }
 
 /// Whether a text is a list of names without a position that calls x by another quantity's name:
 /// either the column of x has such a name, or at least three such names precede an unknown vector.
-fn calls_x_otherwise(text: &str, fields: usize, first: Option<usize>) -> bool {
+fn gives_x_another_name(text: &str, fields: usize, first: Option<usize>) -> bool {
     names_in(text).filter(|names| are_names(names)).any(|names| {
         let names = bare_names(&names);
         let unique: HashSet<&String> = names.iter().collect();
@@ -606,7 +606,8 @@ fn calls_x_otherwise(text: &str, fields: usize, first: Option<usize>) -> bool {
 /// - There are only two names, which can be a title, such as `Material positions`.
 /// - A single letter stands for a vector, as in `m r`.
 ///
-/// The last two cases do not apply if all names are vectors.
+/// The last two cases do not apply if all names are vectors. The name of a vector counts as three
+/// columns or as one.
 fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;

@@ -122,24 +122,25 @@ impl Heading {
     /// Finds the head of the table that starts at byte `start` of `text`. Reads more than [`HEAD`]
     /// bytes only if these contain too few lines.
     pub fn of(text: ByteView, start: usize) -> Result<Self, ReadFault> {
-        let mut looked_at = HEAD;
+        let mut searched_bytes = HEAD;
         loop {
-            let end = text.len().min(start.saturating_add(looked_at));
+            let end = text.len().min(start.saturating_add(searched_bytes));
             let head = text.read(start..end)?;
             let known = lines(&head).filter(|(.., content)| !is_comment(content));
             let whole = end == text.len();
-            if whole || looked_at >= LONGEST_HEAD || known.count() > HEADER_LINES + 2 {
+            if whole || searched_bytes >= LONGEST_HEAD || known.count() > HEADER_LINES + 2 {
                 // The last line may be incomplete, so it is removed.
                 let cut = head.iter().rposition(|&byte| byte == b'\n').map_or(0, |end| end + 1);
                 let head = if whole { &head[..] } else { &head[..cut] };
                 let found = Self::find(head)?;
                 if found.start == head.len() && !whole {
-                    let what = format!("no row of numbers begins in the first {looked_at} bytes");
+                    let what =
+                        format!("no row of numbers begins in the first {searched_bytes} bytes");
                     return Err(ReadFault::Line { line: 1, what });
                 }
                 return Ok(Self { start: start + found.start, ..found });
             }
-            looked_at = looked_at.saturating_mul(2);
+            searched_bytes = searched_bytes.saturating_mul(2);
         }
     }
 
@@ -164,7 +165,7 @@ impl<'a> LinesAbove<'a> {
     fn of(text: &'a [u8]) -> Self {
         let mut above = Self::default();
         let mut units = 1;
-        let mut left = HEADER_LINES;
+        let mut remaining_lines = HEADER_LINES;
         for (line, start, content) in lines(text) {
             if is_comment(content) {
                 above.add_comment(line, content);
@@ -179,7 +180,7 @@ impl<'a> LinesAbove<'a> {
                 above.first = Some(here);
                 break;
             }
-            // A line with a single integer gives the number of rows or steps.
+            // A line with a single integer is not a row: it is the number of rows or steps.
             let row =
                 !is_whole(content) && (is_row(content) || is_row_of_words(content, &text[start..]));
             if row && above.titles.is_empty() {
@@ -193,8 +194,8 @@ impl<'a> LinesAbove<'a> {
             } else {
                 above.add_title(line, content);
             }
-            left -= 1;
-            if left == 0 {
+            remaining_lines -= 1;
+            if remaining_lines == 0 {
                 break;
             }
         }
@@ -228,7 +229,7 @@ impl<'a> LinesAbove<'a> {
         let named = named.and_then(|names| named_columns(&names).next());
         let columns = match (named.or_else(|| self.comments.columns().next()), self.titles.first())
         {
-            (None, Some(title)) => return Err(title.refused()),
+            (None, Some(title)) => return Err(title.fault()),
             (columns, _) => columns.unwrap_or_else(|| TableColumns::unnamed(0, 3)),
         };
         let (syntax, announced) = (Syntax::BLANKS, None);
@@ -257,7 +258,7 @@ impl<'a> LinesAbove<'a> {
             |unnamed| unnamed.fields,
         );
         if let Some(title) = self.titles.iter().rfind(|title| title.names.len() == fields) {
-            return Err(title.refused());
+            return Err(title.fault());
         }
         let fault = |what| ReadFault::Line { line: first.line, what };
         let Some(unnamed) = found else {
@@ -375,11 +376,11 @@ fn refuse_rows_above(titles: &[TitleLine], fields: usize) -> Result<(), ReadFaul
     let row = titles
         .iter()
         .find(|title| title.names.len() == fields && title.names.iter().any(is_number));
-    row.map_or(Ok(()), |row| Err(row.refused()))
+    row.map_or(Ok(()), |row| Err(row.fault()))
 }
 
 impl TitleLine {
-    fn refused(&self) -> ReadFault {
+    fn fault(&self) -> ReadFault {
         if let Some(name) = repeated_position(&self.names) {
             let what = format!(
                 "several columns are named {name:?}; rename those that are not \

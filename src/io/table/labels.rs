@@ -7,7 +7,7 @@ use std::sync::Mutex;
 use crate::particles::Label;
 
 /// Maximum number of different texts in a column.
-const MOST: usize = 4096;
+const MOST_TEXTS: usize = 4096;
 
 /// The different texts of a column in the rows that were decoded so far, with their numbers.
 #[derive(Debug, Default)]
@@ -25,8 +25,8 @@ impl Texts {
         let mut all = self.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
         let next = all.len() as u32;
         let number =
-            if all.len() > MOST { next } else { *all.entry(text.to_owned()).or_insert(next) };
-        if known.len() <= MOST {
+            if all.len() > MOST_TEXTS { next } else { *all.entry(text.to_owned()).or_insert(next) };
+        if known.len() <= MOST_TEXTS {
             known.insert(text.to_owned(), number);
         }
         number
@@ -36,7 +36,7 @@ impl Texts {
     /// Returns `None` if there are too many different texts.
     pub fn label(self, name: &str) -> Option<(Label, Vec<u32>)> {
         let all = self.0.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
-        if all.len() > MOST {
+        if all.len() > MOST_TEXTS {
             return None;
         }
         // Sorts the texts, because their numbers depend on the order in which threads found them.

@@ -109,7 +109,7 @@ struct FieldTarget {
     /// The index of the value in a decoded row.
     place: usize,
     /// The treatment of a field that is not a number.
-    otherwise: BadFieldPolicy,
+    if_invalid: BadFieldPolicy,
 }
 
 /// The decoded rows of a piece of text.
@@ -149,22 +149,22 @@ impl TextTable {
         let head = view.read(self.rows.start..self.rows.end.min(self.rows.start + HEAD))?;
         let mut columns = self.columns;
         let mut texts = columns.take_texts(&head, self.syntax);
-        texts.retain(|text| text.columns.len() == 1 && wanted.hold_label(&text.name));
+        texts.retain(|text| text.columns.len() == 1 && wanted.includes_label(&text.name));
         drop(head);
         let table = Self { columns, ..self };
         let TableColumns { names, position, attributes } = &table.columns;
         let info = |q: &Quantity| AttributeInfo::new(&q.name, q.columns.len());
         let infos: Vec<_> = attributes.iter().map(info).collect();
         let is_read = wanted.among(&infos);
-        let asked = wanted.asked_among(&infos).unwrap_or_else(|| vec![false; infos.len()]);
+        let requested = wanted.requested_among(&infos).unwrap_or_else(|| vec![false; infos.len()]);
         let read = || attributes.iter().zip(&is_read).filter_map(|(a, read)| read.then_some(a));
-        let otherwise =
-            asked.iter().zip(&is_read).filter(|(_, read)| **read).map(|(asked, _)| {
-                if *asked { BadFieldPolicy::Refuse } else { BadFieldPolicy::Drop }
+        let if_invalid =
+            requested.iter().zip(&is_read).filter(|(_, read)| **read).map(|(requested, _)| {
+                if *requested { BadFieldPolicy::Refuse } else { BadFieldPolicy::Drop }
             });
         let attribute_columns = read()
-            .zip(otherwise)
-            .flat_map(|(a, otherwise)| a.columns.iter().map(move |column| (column, otherwise)));
+            .zip(if_invalid)
+            .flat_map(|(a, if_invalid)| a.columns.iter().map(move |column| (column, if_invalid)));
         let label_columns = texts.iter().enumerate();
         let label_columns = label_columns.map(|(n, t)| (&t.columns[0], BadFieldPolicy::Label(n)));
         let attribute_columns = attribute_columns.chain(label_columns);
@@ -172,8 +172,8 @@ impl TextTable {
             position.columns.iter().map(|column| (column, BadFieldPolicy::Refuse));
         let mut slots = vec![None; names.len()];
         let mut width = 0;
-        for (&column, otherwise) in position_columns.chain(attribute_columns) {
-            slots[column] = Some(FieldTarget { place: width, otherwise });
+        for (&column, if_invalid) in position_columns.chain(attribute_columns) {
+            slots[column] = Some(FieldTarget { place: width, if_invalid });
             width += 1;
         }
         let text: Vec<AtomicBool> = (0..width).map(|_| AtomicBool::new(false)).collect();
@@ -272,15 +272,15 @@ impl TextTable {
             rows.resize(row + width, 0);
             let mut fields = 0;
             for field in LineFields::new(content, self.syntax.separator, slots.len()) {
-                if let Some(&Some(FieldTarget { place, otherwise })) = slots.get(fields) {
-                    let number = match otherwise {
+                if let Some(&Some(FieldTarget { place, if_invalid })) = slots.get(fields) {
+                    let number = match if_invalid {
                         BadFieldPolicy::Label(label) => {
                             let field = unquoted(field);
                             Some(labels[label].number(&mut known[label], field).into())
                         }
                         _ => self.syntax.number(field),
                     };
-                    let number = match (number, otherwise) {
+                    let number = match (number, if_invalid) {
                         (Some(number), _) => number,
                         (None, BadFieldPolicy::Refuse) => {
                             return Err((line, self.not_a_number(field, fields)));

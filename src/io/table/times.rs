@@ -4,7 +4,7 @@ use crate::io::UnreadPart;
 use crate::io::names::Quantity;
 
 /// Names of the column that contains the time or the number of a frame, compared without regard to
-/// case. The name `t` is not in this list, because `T` may be a temperature.
+/// case. The name `t` also counts, but only in lower case, because `T` may be a temperature.
 const NAMES: [&str; 4] = ["time", "frame", "step", "timestep"];
 /// Maximum number of frames. A column with more different numbers has a time for each particle.
 const MOST_FRAMES: usize = 1 << 16;
@@ -50,8 +50,8 @@ impl Times {
     /// A message about the frames that the column `name` divides the rows into. `None` if particles
     /// may have times of their own.
     ///
-    /// Frames have many rows each, and at least two consecutive frames have similar numbers of
-    /// rows.
+    /// The column divides the rows into frames if its numbers are sorted, each of them has at least
+    /// [`FEWEST_ROWS`] rows, and two consecutive numbers have similar numbers of rows.
     pub fn frames(&self, name: &str) -> Option<UnreadPart> {
         let [(first, _), .., (last, _)] = self.runs[..] else { return None };
         let are_similar = |a: u64, b: u64| 10 * a.abs_diff(b) <= a.max(b);

@@ -80,16 +80,16 @@ impl Manifest {
                 format!(" (\n        interpolation = \"{how}\"\n    )")
             });
             writeln!(text, "    {} {}{interpolation}", property.kind, property.name)
-                .expect("writing to memory succeeds");
+                .expect("writing to a `String` does not fail");
         }
         text
     }
 }
 
 /// The reason why programs could not find the layers next to a stage at this path. `None` if they
-/// could.
+/// can find them.
 ///
-/// When OpenUSD looks for layers, it takes each backslash in the path of the stage for a separator,
+/// When OpenUSD looks for layers, it treats each backslash in the path of the stage as a separator,
 /// even on Linux. It also rejects control characters in the paths of layers. The names of layers
 /// contain the name of the stage.
 pub fn path_fault(stage: &Path) -> Option<&'static str> {

@@ -52,7 +52,7 @@ const HALF_VELOCITIES: Range<f32> = 1e-2..6e4;
 /// Maximum number of values per vertex that are in memory at the same time.
 const NUMBERS_AT_ONCE: usize = 16;
 /// Number of leaves that are encoded together.
-const LEAVES_TOGETHER: usize = 64;
+const LEAVES_PER_CHUNK: usize = 64;
 
 /// A grid with one or more components of an attribute.
 #[derive(Debug, Clone, PartialEq)]
@@ -112,7 +112,8 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
     let lattice = lattice_of(&outline).ok_or_else(|| {
         io::Error::new(
             io::ErrorKind::InvalidInput,
-            "a .vdb needs the grid of the particles: reconstruct them with the output name.vdb",
+            "a .vdb needs the grid of the particles, which this mesh lacks; reconstruct the \
+             particles with a .vdb as the output",
         )
     })?;
     let attributes = outline.attributes;
@@ -146,7 +147,7 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
         let distances = &blocks[leaf.block as usize].distances[leaf.first as usize * size..];
         out.extend(&distances[..leaf.tree.active_count() * size]);
     })?;
-    for grids in together(&grids) {
+    for grids in grid_batches(&grids) {
         let values = AttributeValues::read(mesh, grids)?;
         for grid in grids {
             let kind = values.kind_of(grid, &attributes[grid.attribute]);
@@ -263,7 +264,8 @@ impl GridWriter<'_> {
         let encode = |chunk: usize, out: &mut Vec<u8>| {
             mesh.go_on()?;
             let mut values = Vec::new();
-            let numbers = chunk * LEAVES_TOGETHER..leaves.len().min((chunk + 1) * LEAVES_TOGETHER);
+            let numbers =
+                chunk * LEAVES_PER_CHUNK..leaves.len().min((chunk + 1) * LEAVES_PER_CHUNK);
             for leaf in &leaves[numbers] {
                 let TreeLeaf { active, inside, .. } = &leaf.tree;
                 out.extend(active.iter().flat_map(|word| word.to_le_bytes()));
@@ -278,7 +280,7 @@ impl GridWriter<'_> {
             }
             Ok(())
         };
-        let chunks = leaves.len().div_ceil(LEAVES_TOGETHER);
+        let chunks = leaves.len().div_ceil(LEAVES_PER_CHUNK);
         let zipped: Option<Vec<Vec<u8>>> = zip
             .then(|| {
                 let chunk = |chunk| {
@@ -347,7 +349,7 @@ pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
 
 /// The number of times that the writer reads all vertices of a mesh to store their attributes.
 pub fn attribute_readings(infos: &[AttributeInfo]) -> usize {
-    together(&attribute_grids(infos)).count()
+    grid_batches(&attribute_grids(infos)).count()
 }
 
 /// The grids that store the attributes.
@@ -376,7 +378,7 @@ fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
 
 /// Divides the grids into runs whose values are read at once. All grids of a run belong to the same
 /// attribute.
-fn together(grids: &[AttributeGrid]) -> impl Iterator<Item = &[AttributeGrid]> {
+fn grid_batches(grids: &[AttributeGrid]) -> impl Iterator<Item = &[AttributeGrid]> {
     let of_attributes = grids.chunk_by(|a, b| a.attribute == b.attribute);
     of_attributes.flat_map(|grids| grids.chunks(NUMBERS_AT_ONCE))
 }

@@ -80,8 +80,8 @@ pub fn topology<'a>(
         inside: [leaf.inside[0] & 1 == 1, leaf.inside[VOXELS / 64 - 1] >> 63 == 1],
     };
     let leaves: Vec<_> = leaves.map(leaf).collect();
-    let lower = above(leaves, LEAF, LOG2[0], kind, zip);
-    let upper = above(lower, LEAF << LOG2[0], LOG2[1], kind, zip);
+    let lower = parent_nodes(leaves, LEAF, LOG2[0], kind, zip);
+    let upper = parent_nodes(lower, LEAF << LOG2[0], LOG2[1], kind, zip);
     let tiles = root_tiles(&upper);
 
     let mut out = 1i32.to_le_bytes().to_vec();
@@ -100,15 +100,21 @@ pub fn topology<'a>(
     out
 }
 
-/// The key by which leaves are sorted in the tree: the places of the upper node, of the lower node,
-/// and of the leaf, with z fastest.
+/// The key by which leaves are sorted in the tree: the coordinates of the upper node, of the lower
+/// node, and of the leaf. Among siblings, z varies fastest.
 pub fn sort_key(corner: IVec3) -> [[i32; 3]; 3] {
     [LEAF << (LOG2[0] + LOG2[1]), LEAF << LOG2[0], LEAF]
         .map(|edge| corner.div_euclid(IVec3::splat(edge)).to_array())
 }
 
 /// Builds the nodes above `children`, which must be in tree order and `edge` voxels wide.
-fn above(children: Vec<InnerNode>, edge: i32, log2: u32, kind: Kind, zip: bool) -> Vec<InnerNode> {
+fn parent_nodes(
+    children: Vec<InnerNode>,
+    edge: i32,
+    log2: u32,
+    kind: Kind,
+    zip: bool,
+) -> Vec<InnerNode> {
     let parent = |child: &InnerNode| child.corner.div_euclid(IVec3::splat(edge << log2));
     let groups: Vec<&[InnerNode]> = children.chunk_by(|a, b| parent(a) == parent(b)).collect();
     groups
@@ -133,8 +139,8 @@ fn node(
         let at = (child.corner - corner) / edge;
         (((at.x as usize) << log2 | at.y as usize) << log2) | at.z as usize
     };
-    let mut of_child = vec![None; slots];
-    children.iter().for_each(|child| of_child[number(child)] = Some(child));
+    let mut child_at = vec![None; slots];
+    children.iter().for_each(|child| child_at[number(child)] = Some(child));
 
     let mut child_mask = vec![0u64; slots / 64];
     let mut outside = vec![0u64; slots / 64];
@@ -142,7 +148,7 @@ fn node(
     let mut last = vec![false; slots];
     let (mut tiles, mut tiles_inside) = (0, 0);
     for slot in 0..slots {
-        if let Some(child) = of_child[slot] {
+        if let Some(child) = child_at[slot] {
             child_mask[slot / 64] |= 1 << (slot % 64);
             last[slot] = child.inside[1];
             continue;
@@ -161,9 +167,9 @@ fn node(
     // The mask of active tiles is empty.
     bytes.resize(bytes.len() + slots / 8, 0);
     put_sides(&mut bytes, kind, [tiles_inside, tiles], &outside);
-    kind.put_none(&mut bytes, zip);
+    kind.put_no_values(&mut bytes, zip);
     children.iter().for_each(|child| bytes.extend(&child.bytes));
-    let first = of_child[0].map_or(last[0], |child| child.inside[0]);
+    let first = child_at[0].map_or(last[0], |child| child.inside[0]);
     InnerNode { corner, bytes, inside: [first, last[slots - 1]] }
 }
 

@@ -97,7 +97,7 @@ impl Kind {
     }
 
     /// Appends an empty list of active values, for a node that has none.
-    pub fn put_none(self, out: &mut Vec<u8>, zip: bool) {
+    pub fn put_no_values(self, out: &mut Vec<u8>, zip: bool) {
         if zip && !self.is_half() {
             out.extend(0i64.to_le_bytes());
         }
@@ -138,7 +138,7 @@ pub fn put_zipped(out: &mut Vec<u8>, bytes: &[u8]) {
         encoder.write_all(bytes)?;
         encoder.finish()
     };
-    let zipped = zipped().expect("writing to memory succeeds");
+    let zipped = zipped().expect("writing to a `Vec` does not fail");
     if zipped.len() < bytes.len() {
         out.extend((zipped.len() as i64).to_le_bytes());
         out.extend(zipped);
@@ -153,13 +153,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_are_encoded_alike_one_by_one_and_together() {
+    fn put_all_appends_the_same_bytes_as_repeated_put() {
         let numbers: Vec<f32> = (-300..300).map(|i| (i as f32 * 0.1).powi(5) * 1e-4).collect();
         for kind in [Kind::Distance { half: true }, Kind::Distance { half: false }, Kind::Int64] {
-            let (mut together, mut one_by_one) = (vec![7], vec![7]);
-            kind.put_all(&mut together, &numbers);
+            let (mut all_at_once, mut one_by_one) = (vec![7], vec![7]);
+            kind.put_all(&mut all_at_once, &numbers);
             numbers.iter().for_each(|&number| kind.put(&mut one_by_one, number));
-            assert_eq!(together, one_by_one, "{kind:?}");
+            assert_eq!(all_at_once, one_by_one, "{kind:?}");
         }
     }
 }

@@ -10,7 +10,7 @@ use crate::io::{ReadFault, malformed};
 
 /// Maximum number of components of an array without tuples, which is the number of components of a
 /// tensor. The size of the file does not limit this number, because the array takes no bytes.
-const MOST_OF_NOTHING: usize = 9;
+const MAX_COMPONENTS_WITHOUT_TUPLES: usize = 9;
 
 /// The sections of a file that the reader uses.
 #[derive(Debug)]
@@ -112,16 +112,16 @@ struct LayoutParser<'a> {
 
 /// Whether the header announces text instead of binary arrays.
 pub fn is_text(bytes: ByteView) -> bool {
-    LayoutParser::start(bytes).is_ok_and(|walk| walk.ascii)
+    LayoutParser::start(bytes).is_ok_and(|parser| parser.ascii)
 }
 
 impl VtkLayout {
     pub fn parse(bytes: ByteView) -> Result<Self, ReadFault> {
-        let mut walk = LayoutParser::start(bytes)?;
-        while let Some(line) = walk.next_line()? {
-            walk.section(&words(&line))?;
+        let mut parser = LayoutParser::start(bytes)?;
+        while let Some(line) = parser.next_line()? {
+            parser.section(&words(&line))?;
         }
-        walk.finish()
+        parser.finish()
     }
 }
 
@@ -198,7 +198,8 @@ impl<'a> LayoutParser<'a> {
     fn section(&mut self, words: &[&str]) -> Result<(), ReadFault> {
         let keyword = words[0].to_ascii_uppercase();
         match (keyword.as_str(), &words[1..]) {
-            ("DATASET", [kind]) if is(kind, "POLYDATA") || is(kind, "UNSTRUCTURED_GRID") => {}
+            ("DATASET", [kind])
+                if is_keyword(kind, "POLYDATA") || is_keyword(kind, "UNSTRUCTURED_GRID") => {}
             ("DATASET", [kind]) => {
                 let what = "is not supported, only POLYDATA and UNSTRUCTURED_GRID";
                 return Err(ReadFault::Unsupported(format!("DATASET {kind} {what}")));
@@ -240,7 +241,7 @@ impl<'a> LayoutParser<'a> {
                 if !table
                     .split_ascii_whitespace()
                     .next()
-                    .is_some_and(|word| is(word, "LOOKUP_TABLE"))
+                    .is_some_and(|word| is_keyword(word, "LOOKUP_TABLE"))
                 {
                     return Err(
                         self.fault(format!("SCALARS {name} (byte {at}) has no LOOKUP_TABLE"))
@@ -343,7 +344,7 @@ impl<'a> LayoutParser<'a> {
     ) -> Result<Option<usize>, ReadFault> {
         let tuples = self.tuples()?;
         let array = self.array(&percent_decoded(name), tuples, components, kind)?;
-        Ok(self.keep(array))
+        Ok(self.add_array(array))
     }
 
     fn field_array(&mut self) -> Result<(), ReadFault> {
@@ -361,7 +362,7 @@ impl<'a> LayoutParser<'a> {
                         match self.owner {
                             None => self.keep_time(array),
                             Some(_) => {
-                                self.keep(array);
+                                self.add_array(array);
                             }
                         }
                         Ok(())
@@ -384,7 +385,7 @@ impl<'a> LayoutParser<'a> {
         }
     }
 
-    fn keep(&mut self, array: Option<VtkArray>) -> Option<usize> {
+    fn add_array(&mut self, array: Option<VtkArray>) -> Option<usize> {
         let array = array?;
         if let Some(Owner::Cells(_)) = self.owner {
             match is_flag(&array.name, array.components, array.scalar) {
@@ -393,7 +394,7 @@ impl<'a> LayoutParser<'a> {
             }
             return None;
         }
-        let most = if array.tuples > 0 { usize::MAX } else { MOST_OF_NOTHING };
+        let most = if array.tuples > 0 { usize::MAX } else { MAX_COMPONENTS_WITHOUT_TUPLES };
         let kept =
             matches!(self.owner, Some(Owner::Points(_))) && (1..=most).contains(&array.components);
         kept.then(|| {
@@ -424,7 +425,7 @@ impl<'a> LayoutParser<'a> {
     fn cell_array(&mut self, keyword: &str, count: usize) -> Result<VtkArray, ReadFault> {
         let line = self.line_of(keyword)?;
         match *words(&line) {
-            [word, kind] if is(word, keyword) => self.numbers(keyword, count, 1, kind),
+            [word, kind] if is_keyword(word, keyword) => self.numbers(keyword, count, 1, kind),
             _ => Err(self.fault(format!("expected {keyword} and a type"))),
         }
     }
@@ -556,7 +557,7 @@ fn words(line: &str) -> Vec<&str> {
     line.split_ascii_whitespace().collect()
 }
 
-fn is(word: &str, keyword: &str) -> bool {
+fn is_keyword(word: &str, keyword: &str) -> bool {
     word.eq_ignore_ascii_case(keyword)
 }
 

@@ -24,7 +24,7 @@ use super::layout::{CellCorners, CellKind, VtkArray, VtkCells, VtkLayout, is_tex
 /// # Errors
 /// [`ReadFault::Mesh`] if a cell has an area or a volume, and the errors of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let bytes = unless_text(bytes, unpacking)?;
+    let bytes = whole_file_if_text(bytes, unpacking)?;
     let layout = VtkLayout::parse(bytes.view())?;
     let mut cells = CellCounts::default();
     for more in cell_counts(bytes.view(), &layout) {
@@ -42,9 +42,9 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 ///
 /// Every numeric array in `POINT_DATA` becomes an attribute. Percent codes in its name are decoded.
 /// Arrays in `CELL_DATA` become attributes if cell i is a vertex at point i, and if there is one
-/// cell per point. Strings, bits and colours are skipped. If cell data flags vertex cells as copies
-/// or hidden, a point is left out if all of its vertex cells are flagged. A field of the file with
-/// one of the names [`TIMES`](crate::io::names::TIMES) gives the time.
+/// cell per point. Strings, bits and colours are skipped. If all cells are vertices, a point is
+/// left out if cell data flags all of its cells as copies or hidden. A field of the file with one
+/// of the names [`TIMES`](crate::io::names::TIMES) gives the time.
 ///
 /// # Errors
 /// [`ReadFault::Truncated`] for an array that exceeds the file, [`ReadFault::Malformed`] (or
@@ -52,13 +52,16 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// [`ReadFault::Unsupported`] for data sets other than `UNSTRUCTURED_GRID` and `POLYDATA`, and
 /// [`ReadFault::Scratch`] if text is decoded and the scratch file cannot be written.
 pub fn read_points(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    let bytes = unless_text(bytes, unpacking)?;
+    let bytes = whole_file_if_text(bytes, unpacking)?;
     let layout = VtkLayout::parse(bytes.view())?;
     points(bytes, &layout, unpacking)
 }
 
 /// Returns `bytes` unchanged if the file is binary. Otherwise, reads the whole file.
-pub(in crate::io) fn unless_text(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+pub(in crate::io) fn whole_file_if_text(
+    bytes: Bytes,
+    unpacking: Unpacking,
+) -> Result<Bytes, ReadFault> {
     if is_text(bytes.view()) { bytes.read_whole(unpacking).map(Bytes::Kept) } else { Ok(bytes) }
 }
 
@@ -70,7 +73,7 @@ fn points(
     let format = if layout.ascii { "legacy VTK, ASCII" } else { "legacy VTK, binary" };
     let time =
         layout.time.as_ref().map(|array| number(bytes.view(), layout.ascii, array)).transpose()?;
-    let left = not_ghosts(bytes.view(), layout)?;
+    let non_ghosts = non_ghost_points(bytes.view(), layout)?;
     let (mut cell_data, mut left_out): (&[_], _) = (&layout.cell_data, Vec::new());
     if !cell_data.is_empty() && !cells_are_points(bytes.view(), layout)? {
         left_out = cell_data.iter().map(|a| UnreadPart::CellData(a.name.clone())).collect();
@@ -80,7 +83,7 @@ fn points(
     let time = time.flatten().filter(|time| time.is_finite());
     let texts = layout.texts.clone();
     Ok(ParticleFile { time, texts, left_out, ..vertices.into_particles(bytes, format) }
-        .with_points(left))
+        .with_points(non_ghosts))
 }
 
 /// Whether the file is a mesh: any cell has an area or a volume.
@@ -341,7 +344,7 @@ fn cells_are_points(bytes: ByteView, layout: &VtkLayout) -> Result<bool, ReadFau
 }
 
 /// Ranges of the points that are not ghosts. `None` if all points are kept.
-pub(super) fn not_ghosts(
+pub(super) fn non_ghost_points(
     bytes: ByteView,
     layout: &VtkLayout,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
@@ -357,7 +360,10 @@ pub(super) fn not_ghosts(
         CellCorners::Counted { stream, .. } => {
             each(stream, &mut |index, number| all_vertices &= index % 2 == 1 || number == 1)?;
             if all_vertices && Some(stream.tuples) != cells.checked_mul(2) {
-                let what = format!("{cells} cells of one point have {} numbers", stream.tuples);
+                let what = format!(
+                    "{cells} vertex cells need two numbers each, but the file has {}",
+                    stream.tuples
+                );
                 return Err(malformed(stream.at, what));
             }
             stream
@@ -379,11 +385,11 @@ pub(super) fn not_ghosts(
         each(array, &mut |cell, flag| flags.take(cell, flag))?;
         flags.end().map_err(|what| malformed(array.at, what))?;
     }
-    let mut left = VertexPoints::new(&vertices, layout.points.tuples);
+    let mut vertex_points = VertexPoints::new(&vertices, layout.points.tuples);
     each(points, &mut |index, point| match corners {
         CellCorners::Counted { .. } if index % 2 == 0 => {}
-        CellCorners::Counted { .. } => left.take(index / 2, point),
-        CellCorners::Offsets { .. } => left.take(index, point),
+        CellCorners::Counted { .. } => vertex_points.take(index / 2, point),
+        CellCorners::Offsets { .. } => vertex_points.take(index, point),
     })?;
-    left.left().map(Some).map_err(|what| malformed(points.at, what))
+    vertex_points.kept_ranges().map(Some).map_err(|what| malformed(points.at, what))
 }

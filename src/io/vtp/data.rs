@@ -335,16 +335,16 @@ impl StoredArray<'_> {
     ) -> Result<ControlFlow<()>, ReadFault> {
         let size = self.array.scalar.size();
         // A batch may end within a number, so the start of that number is kept for the next batch.
-        let mut begun = Vec::new();
+        let mut partial = Vec::new();
         self.read(points, allowance, &mut |chunk| {
-            begun.extend_from_slice(chunk);
-            let whole = begun.len() / size * size;
-            for number in begun[..whole].chunks_exact(size) {
+            partial.extend_from_slice(chunk);
+            let whole = partial.len() / size * size;
+            for number in partial[..whole].chunks_exact(size) {
                 if take(number)?.is_break() {
                     return Ok(ControlFlow::Break(()));
                 }
             }
-            begun.drain(..whole);
+            partial.drain(..whole);
             Ok(ControlFlow::Continue(()))
         })
     }
@@ -364,9 +364,9 @@ impl StoredArray<'_> {
                     bytes: self.layout.text(),
                     at: text.start,
                     end: text.end,
-                    held: text.start,
+                    unreleased: text.start,
                 };
-                Box::new(Base64 { text, plain: Vec::new(), given: 0 })
+                Box::new(Base64 { text, plain: Vec::new(), returned: 0 })
             }
             _ => Box::new(SequentialReader::new(self.layout.bytes, self.array.place())),
         };
@@ -391,10 +391,10 @@ impl StoredArray<'_> {
                     let span = self.raw_span()?;
                     let mut stream = SequentialReader::new(self.layout.bytes, span.start);
                     let length = claim(Some(span.len() as u64))?;
-                    return self.pass_on(&mut stream, length, take);
+                    return self.take_uncompressed(&mut stream, length, take);
                 }
                 let length = claim(Some(self.number(&mut stream)?))?;
-                let passed = self.pass_on(&mut stream, length, take)?;
+                let passed = self.take_uncompressed(&mut stream, length, take)?;
                 if passed.is_continue() {
                     self.expect_end(&mut stream)?;
                 }
@@ -410,8 +410,8 @@ impl StoredArray<'_> {
                     malformed(self.array.place(), what)
                 })?;
                 claim(full.checked_mul(block).and_then(|bytes| bytes.checked_add(last)))?;
-                // Each size is pushed as it is read, so that memory is bounded by the file, not by
-                // `count`.
+                // Each size is pushed as it is read, so that the size of the file limits the
+                // memory, even if `count` is wrong.
                 let mut packed = Vec::new();
                 for _ in 0..count {
                     packed.push(self.number(&mut stream)?);
@@ -498,11 +498,11 @@ impl StoredArray<'_> {
         }
         match left {
             0 => Ok(ControlFlow::Continue(())),
-            _ => Err(damaged(format!("a block has less than {length} bytes"))),
+            _ => Err(damaged(format!("a block has fewer than {length} bytes"))),
         }
     }
 
-    fn pass_on(
+    fn take_uncompressed(
         &self,
         stream: &mut dyn Read,
         length: u64,
@@ -609,7 +609,7 @@ struct RemainingText<'a> {
     bytes: Slice<'a>,
     at: usize,
     end: usize,
-    held: usize,
+    unreleased: usize,
 }
 
 impl<'a> RemainingText<'a> {
@@ -617,11 +617,11 @@ impl<'a> RemainingText<'a> {
         &self.bytes.bytes()[self.at..self.end]
     }
 
-    fn pass(&mut self, count: usize) {
+    fn advance(&mut self, count: usize) {
         self.at += count;
-        if self.at - self.held >= PASSED {
-            self.bytes.release(self.held..self.at);
-            self.held = self.at;
+        if self.at - self.unreleased >= PASSED {
+            self.bytes.release(self.unreleased..self.at);
+            self.unreleased = self.at;
         }
     }
 }
@@ -631,7 +631,7 @@ impl<'a> RemainingText<'a> {
 struct Base64<'a> {
     text: RemainingText<'a>,
     plain: Vec<u8>,
-    given: usize,
+    returned: usize,
 }
 
 impl Base64<'_> {
@@ -654,22 +654,22 @@ impl Base64<'_> {
             (&group[..], passed)
         };
         self.plain.clear();
-        self.given = 0;
+        self.returned = 0;
         let damaged =
             |e: base64::DecodeError| io::Error::new(io::ErrorKind::InvalidData, e.to_string());
         BASE64_STANDARD.decode_vec(codes, &mut self.plain).map_err(damaged)?;
-        self.text.pass(passed);
+        self.text.advance(passed);
         Ok(())
     }
 }
 
 impl Read for Base64<'_> {
     fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
-        while self.given == self.plain.len() && !self.text.rest().is_empty() {
+        while self.returned == self.plain.len() && !self.text.rest().is_empty() {
             self.decode()?;
         }
-        let count = (&self.plain[self.given..]).read(out)?;
-        self.given += count;
+        let count = (&self.plain[self.returned..]).read(out)?;
+        self.returned += count;
         Ok(count)
     }
 }

@@ -99,7 +99,9 @@ impl<'a> Divided<'a> {
         let mut numbers: Vec<u64> = triangles.as_flattened().to_vec();
         numbers.par_sort_unstable();
         numbers.dedup();
-        let own = |vertex: u64| numbers.binary_search(&vertex).expect("named by a triangle") as u32;
+        let own = |vertex: u64| {
+            numbers.binary_search(&vertex).expect("all corners are in `numbers`") as u32
+        };
         let mut mesh = self.vertices(&numbers)?;
         mesh.triangles = triangles.into_par_iter().map(|triangle| triangle.map(own)).collect();
         write_piece(out, &mesh, self.width, Some(&numbers))

@@ -48,7 +48,7 @@ pub(super) enum DataLocation {
 
 impl VtpArray {
     /// Whether the position of the array's data is not known yet.
-    fn is_to_come(&self) -> bool {
+    fn has_unresolved_offset(&self) -> bool {
         matches!(self.data, DataLocation::Appended(_))
     }
 
@@ -177,14 +177,14 @@ impl<'a> VtpLayout<'a> {
             pieces: Vec::new(),
         };
         let mut section = None;
-        let mut seen_root = false;
+        let mut has_root = false;
         loop {
             let at = mark + xml.buffer_position() as usize;
             let event = xml.read_event().map_err(|fault| {
                 malformed(mark + xml.error_position() as usize, fault.to_string())
             })?;
-            let behind = mark + xml.buffer_position() as usize;
-            text.release(at..behind);
+            let tag_end = mark + xml.buffer_position() as usize;
+            text.release(at..tag_end);
             let (tag, is_empty) = match &event {
                 Event::Start(tag) => (tag, false),
                 Event::Empty(tag) => (tag, true),
@@ -195,7 +195,8 @@ impl<'a> VtpLayout<'a> {
                     continue;
                 }
                 Event::Eof
-                    if text.len() < bytes.len() || layout.all_arrays().any(|a| a.is_to_come()) =>
+                    if text.len() < bytes.len()
+                        || layout.all_arrays().any(|a| a.has_unresolved_offset()) =>
                 {
                     return Err(malformed(at, "the file has no <AppendedData>"));
                 }
@@ -206,14 +207,14 @@ impl<'a> VtpLayout<'a> {
             match (tag.tag.name().as_ref(), section) {
                 ("VTKFile", _) => {
                     layout.root(&tag)?;
-                    seen_root = true;
+                    has_root = true;
                 }
                 ("Piece", _) => layout.pieces.push(VtpPiece::of(&tag)?),
                 ("AppendedData", _) => {
-                    layout.appended(&tag, &text, behind)?;
+                    layout.appended(&tag, &text, tag_end)?;
                     break;
                 }
-                ("DataArray", Some(section)) => layout.array(&tag, section, &text, behind)?,
+                ("DataArray", Some(section)) => layout.array(&tag, section, &text, tag_end)?,
                 (name, _) if !is_empty && section_named(name).is_some() => {
                     section = section_named(name);
                     if let (Some(Section::PointData), Some(piece)) =
@@ -226,7 +227,7 @@ impl<'a> VtpLayout<'a> {
                 _ => {}
             }
         }
-        match (seen_root, &*layout.pieces) {
+        match (has_root, &*layout.pieces) {
             (false, _) => Err(malformed(0, "the file has no <VTKFile>")),
             (true, []) => Err(malformed(0, "the file has no <Piece>")),
             (true, _) => Ok(layout),
@@ -285,7 +286,7 @@ impl<'a> VtpLayout<'a> {
         tag: &Tag,
         section: Section,
         xml: &[u8],
-        behind: usize,
+        tag_end: usize,
     ) -> Result<(), ReadFault> {
         let is_points = section == Section::Points;
         let unnamed = || if is_points { "Points".to_owned() } else { String::new() };
@@ -297,7 +298,7 @@ impl<'a> VtpLayout<'a> {
                 return Err(malformed(tag.at, what));
             }
             // Strings and bits are not attributes. If the mesh needs this array, for example as its
-            // corners, the reader later reports that the array's numbers are missing.
+            // corners, the reader reports an error later.
             if let (Section::PointData, Some(piece)) = (section, self.pieces.last_mut()) {
                 piece.texts.push(name);
             }
@@ -330,8 +331,8 @@ impl<'a> VtpLayout<'a> {
                 )
             }
             // VTK's own reader also assumes text if the format is missing.
-            None | Some("ascii") => DataLocation::Text(text(xml, behind)),
-            Some("binary") => DataLocation::Base64(text(xml, behind)),
+            None | Some("ascii") => DataLocation::Text(text(xml, tag_end)),
+            Some("binary") => DataLocation::Base64(text(xml, tag_end)),
             Some(other) => {
                 return Err(malformed(
                     tag.at,
@@ -349,9 +350,9 @@ impl<'a> VtpLayout<'a> {
 
     /// Replaces the offsets of appended arrays by positions in the file. Does not read the rest of
     /// the XML.
-    fn appended(&mut self, tag: &Tag, xml: &[u8], behind: usize) -> Result<(), ReadFault> {
+    fn appended(&mut self, tag: &Tag, xml: &[u8], tag_end: usize) -> Result<(), ReadFault> {
         let mark =
-            behind + xml[behind..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+            tag_end + xml[tag_end..].iter().take_while(|byte| byte.is_ascii_whitespace()).count();
         if xml.get(mark) != Some(&b'_') {
             return Err(malformed(mark, "the data does not begin with an underscore"));
         }

@@ -14,7 +14,7 @@ mod read;
 mod write;
 
 pub(super) use layout::each_tag;
-pub(super) use read::unless_inline;
+pub(super) use read::whole_file_if_inline;
 pub use read::{has_faces, is_text, read_mesh, read_particles};
 pub(super) use write::escaped;
 pub use write::write_mesh;

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 use crate::io::bytes::{Bytes, Unpacking, open_bytes, open_bytes_within, open_whole};
 use crate::io::collection::FrameBlock;
 use crate::io::input_format::InputFormat;
-use crate::io::joined::refuse_other_scales;
+use crate::io::joined::check_colour_scales;
 use crate::io::listed::resolved;
 use crate::io::pieces::join_files;
 use crate::io::vertices::Triangles;
@@ -20,7 +20,7 @@ use crate::surface::mesh::Mesh;
 
 use super::layout::{Tag, each_tag};
 use super::read::{
-    NumberedMesh, PieceContents, contents, read_numbered, read_particles, unless_inline,
+    NumberedMesh, PieceContents, contents, read_numbered, read_particles, whole_file_if_inline,
 };
 
 /// Reads the points of all wanted pieces as particles, in list order.
@@ -41,7 +41,7 @@ pub fn open_particles(
     let opened = wanted.pieces.of(listed.len()).max(1) as u64;
     let share = Unpacking { in_memory: unpacking.in_memory / opened, ..unpacking };
     let paths: Vec<&Path> = listed.iter().map(|piece| &*piece.file).collect();
-    let open = |(number, path): (usize, &&Path)| match wanted.pieces.hold(number) {
+    let open = |(number, path): (usize, &&Path)| match wanted.pieces.includes(number) {
         true => open_piece(path, share).map(Some),
         false => Ok(None),
     };
@@ -49,7 +49,7 @@ pub fn open_particles(
     // piece.
     let read: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = read.into_iter().collect::<Result<Vec<_>, _>>()?;
-    refuse_other_scales(&paths, &files, wanted.attributes)?;
+    check_colour_scales(&paths, &files, wanted.attributes)?;
     let file = join_files(files, wanted.pieces)
         .map_err(|(piece, fault)| ReadError::new(paths[piece], fault))?;
     Ok(ParticleFile { format, ..file })
@@ -81,7 +81,7 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     let mut is_empty_mesh = true;
     for piece in pieces(path)? {
         let bytes = open_bytes(&piece)?;
-        let found = unless_inline(bytes).and_then(|bytes| contents(bytes.view()));
+        let found = whole_file_if_inline(bytes).and_then(|bytes| contents(bytes.view()));
         match found.map_err(|fault| ReadError::new(&piece, fault))? {
             PieceContents::Faces => return Ok(true),
             PieceContents::EmptyMesh => {}
@@ -121,7 +121,7 @@ struct JoinedMesh {
     mesh: Mesh,
     /// The vertex index for each global identifier.
     known: HashMap<i64, u32>,
-    begun: bool,
+    is_started: bool,
 }
 
 impl JoinedMesh {
@@ -132,7 +132,7 @@ impl JoinedMesh {
         if piece.positions.is_empty() {
             return Ok(());
         }
-        if !std::mem::replace(&mut self.begun, true) {
+        if !std::mem::replace(&mut self.is_started, true) {
             self.mesh = Mesh { positions: Vec::new(), triangles: Vec::new(), ..piece.clone() };
             self.mesh.normals.iter_mut().for_each(Vec::clear);
             self.mesh.attributes.iter_mut().for_each(|attribute| {

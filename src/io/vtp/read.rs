@@ -28,8 +28,8 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// Every numeric array in `PointData` that all pieces have becomes an attribute. Arrays in
 /// `CellData` that all pieces have also become attributes if cell i is a vertex at point i, and if
 /// there is one cell per point. An array in `FieldData` with one of the names
-/// [`TIMES`](crate::io::names::TIMES) gives the time. A point is left out if `CellData` flags all
-/// of its vertex cells as copies or hidden.
+/// [`TIMES`](crate::io::names::TIMES) gives the time. In a piece that has only vertex cells, a
+/// point is left out if `CellData` flags all of its cells as copies or hidden.
 ///
 /// # Errors
 /// [`ReadFault::Mesh`] if a cell has an area or a volume, [`ReadFault::Truncated`] and
@@ -38,18 +38,20 @@ use super::layout::{DataSet, HEAD, Section, VtpArray, VtpLayout, VtpPiece};
 /// other than zlib, LZ4 and LZMA and for data sets other than PolyData and UnstructuredGrid, and
 /// [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
-    points(unless_encoded(bytes, unpacking)?, unpacking, |layout| match cell_counts(layout)? {
-        cells @ CellCounts { faces: 0, .. } => Ok(cells),
-        CellCounts { faces, .. } => Err(ReadFault::Mesh { faces }),
+    points(whole_file_if_encoded(bytes, unpacking)?, unpacking, |layout| {
+        match cell_counts(layout)? {
+            cells @ CellCounts { faces: 0, .. } => Ok(cells),
+            CellCounts { faces, .. } => Err(ReadFault::Mesh { faces }),
+        }
     })
 }
 
 /// Returns `bytes` unchanged if all arrays of the points are raw. Otherwise, reads the whole file,
 /// because some arrays are text, encoded or compressed.
-fn unless_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
+fn whole_file_if_encoded(bytes: Bytes, unpacking: Unpacking) -> Result<Bytes, ReadFault> {
     let view = bytes.view();
-    let stays = !is_text(view)? && Decoder::all_raw(&VtpLayout::parse(view)?);
-    Ok(if stays { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) })
+    let can_be_read_in_place = !is_text(view)? && Decoder::all_raw(&VtpLayout::parse(view)?);
+    Ok(if can_be_read_in_place { bytes } else { Bytes::Kept(bytes.read_whole(unpacking)?) })
 }
 
 /// Counts the cells of all pieces.
@@ -94,11 +96,11 @@ fn is_raw(head: &[u8]) -> bool {
 
 /// Returns `bytes` unchanged if each array can be decoded on its own, even if it is compressed.
 /// Otherwise, reads the whole file, because its arrays are text or base64.
-pub(in crate::io) fn unless_inline(bytes: Bytes) -> Result<Bytes, ReadFault> {
+pub(in crate::io) fn whole_file_if_inline(bytes: Bytes) -> Result<Bytes, ReadFault> {
     if is_raw(&head(bytes.view())?) {
         Ok(bytes)
     } else {
-        bytes.read_whole(Unpacking::for_a_look()).map(Bytes::Kept)
+        bytes.read_whole(Unpacking::for_inspection()).map(Bytes::Kept)
     }
 }
 
@@ -117,7 +119,7 @@ fn points(
     let mut decoder = Decoder::new(&layout, unpacking);
     let time = layout.time.as_ref().map(|array| decoder.single(array)).transpose()?.flatten();
     let time = time.filter(|time| time.is_finite());
-    let left = not_ghosts(&layout, &mut decoder)?;
+    let non_ghosts = non_ghost_points(&layout, &mut decoder)?;
     let mut cell_data = layout.pieces.iter().flat_map(|piece| &piece.arrays).filter(is_cell_data);
     let cells_are_points = cell_data.next().is_some() && cells_are_points(&layout, &mut decoder)?;
     let names = attributes(&layout.pieces, cells_are_points);
@@ -125,7 +127,7 @@ fn points(
     let vertices = vertices(&layout, decoder, &names.shared)?;
     let file = vertices.into_particles(bytes, format);
     let file = ParticleFile { time, left_out: names.left_out, texts, only_lines, ..file };
-    Ok(file.with_points(left))
+    Ok(file.with_points(non_ghosts))
 }
 
 /// Whether the file is a mesh: a cell has an area or a volume, or the file is an empty mesh.
@@ -228,7 +230,10 @@ pub(super) fn read_numbered(bytes: &[u8]) -> Result<NumberedMesh, ReadFault> {
     for (face, &end) in ends.iter().enumerate() {
         let polygon = usize::try_from(end).ok().and_then(|end| corners.get(start..end));
         let polygon = polygon.ok_or_else(|| {
-            malformed(0, format!("polygon {face} has no corners from {start} to {end}"))
+            malformed(
+                0,
+                format!("the range of corners {start} to {end} of polygon {face} is invalid"),
+            )
         })?;
         triangles.polygon(face, 0, polygon)?;
         start += polygon.len();
@@ -280,7 +285,7 @@ fn attributes(pieces: &[VtpPiece], cells_are_points: bool) -> Attributes<'_> {
                 all.shared.push(array);
             } else if seen.insert(info.clone()) {
                 let is_shared = GHOSTS.contains(&&*array.name)
-                    || filled.iter().all(|piece| same(piece, array).is_some());
+                    || filled.iter().all(|piece| matching_array(piece, array).is_some());
                 if is_shared {
                     all.shared.push(array);
                 } else {
@@ -293,7 +298,7 @@ fn attributes(pieces: &[VtpPiece], cells_are_points: bool) -> Attributes<'_> {
 }
 
 /// The array of `piece` with the same section, name and number of components as `array`.
-fn same<'a>(piece: &'a VtpPiece, array: &VtpArray) -> Option<&'a VtpArray> {
+fn matching_array<'a>(piece: &'a VtpPiece, array: &VtpArray) -> Option<&'a VtpArray> {
     piece.arrays.iter().find(|own| {
         (own.section, &own.name, own.components) == (array.section, &array.name, array.components)
     })
@@ -330,7 +335,7 @@ fn vertices(
         for piece in &filled {
             // A single piece may have several arrays with the same name, so its arrays are not
             // searched by name.
-            let own = if filled.len() == 1 { Some(array) } else { same(piece, array) };
+            let own = if filled.len() == 1 { Some(array) } else { matching_array(piece, array) };
             parts.push(PieceArray { points: piece.points, array: own });
         }
         JoinedArray { components: array.components, parts }
@@ -386,7 +391,7 @@ fn cells_are_points(layout: &VtpLayout, decoder: &mut Decoder) -> Result<bool, R
 }
 
 /// Ranges of the points that are not ghosts. `None` if all points are kept.
-fn not_ghosts(
+fn non_ghost_points(
     layout: &VtpLayout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
@@ -394,25 +399,25 @@ fn not_ghosts(
     if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
         return Ok(None);
     }
-    let (mut left, mut all_left, mut first) = (Vec::new(), true, 0);
+    let (mut ranges, mut keeps_all, mut first) = (Vec::new(), true, 0);
     for piece in &layout.pieces {
         let points = first..first + piece.points;
-        match points_left(layout.data_set, piece, decoder)? {
+        match piece_non_ghost_points(layout.data_set, piece, decoder)? {
             Some(own) => {
-                all_left = false;
+                keeps_all = false;
                 own.into_iter().for_each(|own| {
-                    append(&mut left, first + own.start..first + own.end);
+                    append(&mut ranges, first + own.start..first + own.end);
                 });
             }
-            None => append(&mut left, points.clone()),
+            None => append(&mut ranges, points.clone()),
         }
         first = points.end;
     }
-    Ok((!all_left).then_some(left))
+    Ok((!keeps_all).then_some(ranges))
 }
 
 /// Ranges of the points of one piece that are not ghosts. `None` if all points are kept.
-fn points_left(
+fn piece_non_ghost_points(
     data_set: DataSet,
     piece: &VtpPiece,
     decoder: &mut Decoder,
@@ -451,5 +456,5 @@ fn points_left(
     }
     let mut points = VertexPoints::new(&vertices, piece.points);
     decoder.each_integer(corners, |cell, point| points.take(cell, point))?;
-    points.left().map(Some).map_err(|what| malformed(corners.place(), what))
+    points.kept_ranges().map(Some).map_err(|what| malformed(corners.place(), what))
 }

@@ -1,5 +1,5 @@
 //! Chunks of the input with their bounding boxes. A part skips the chunks whose boxes contain none
-//! of its bins.
+//! of the bins that it samples.
 //!
 //! The benefit depends on the order of the input. If consecutive particles are near each other, a
 //! part reads little more than its own particles. If the order is random, each chunk extends over
@@ -59,7 +59,7 @@ pub(super) fn boxed(
 }
 
 /// Records the bounding boxes of an input's chunks while its particles are read.
-pub(super) fn watched<'a>(
+pub(super) fn with_boxes<'a>(
     particles: &'a Pieces,
     chunks: &[PieceChunk],
     grid: &Grid,
@@ -76,8 +76,8 @@ impl PartInput {
         periodic: Option<&Periodic>,
     ) -> Self {
         let touches = |bins: CellBox| match periodic {
-            None => wanted.touch(bins),
-            Some(periodic) => periodic.with_images(bins).any(|bins| wanted.touch(bins)),
+            None => wanted.overlaps(bins),
+            Some(periodic) => periodic.with_images(bins).any(|bins| wanted.overlaps(bins)),
         };
         let mut reading = Self::default();
         let mut before = 0;
@@ -112,7 +112,7 @@ impl PartInput {
     }
 
     /// Whether the opened pieces have the planned numbers of particles.
-    pub(super) fn is_of(&self, opened: &Pieces) -> bool {
+    pub(super) fn matches(&self, opened: &Pieces) -> bool {
         // Without a limit, there is one chunk per piece.
         let found = opened.chunks(usize::MAX);
         let expected = self.pieces.iter().zip(&self.counts);
@@ -141,11 +141,11 @@ impl TryFrom<String> for BinnedChunk {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
-        let no_chunk = || format!("invalid chunk of the input: {text:?}");
+        let invalid_chunk = || format!("invalid chunk of the input: {text:?}");
         let words: Vec<&str> = text.split(' ').collect();
-        let number = |word: &str| word.parse().map_err(|_| no_chunk());
-        let coordinate = |word: &&str| word.parse::<i32>().map_err(|_| no_chunk());
-        let [piece, count, corners @ ..] = &words[..] else { return Err(no_chunk()) };
+        let number = |word: &str| word.parse().map_err(|_| invalid_chunk());
+        let coordinate = |word: &&str| word.parse::<i32>().map_err(|_| invalid_chunk());
+        let [piece, count, corners @ ..] = &words[..] else { return Err(invalid_chunk()) };
         let particles = PieceChunk { piece: number(piece)?, count: number(count)? };
         let corners = corners.iter().map(coordinate).collect::<Result<Vec<_>, _>>()?;
         let bins = match corners[..] {
@@ -153,7 +153,7 @@ impl TryFrom<String> for BinnedChunk {
             [x, y, z, a, b, c] => {
                 Some(CellBox { lo: IVec3::new(x, y, z), hi: IVec3::new(a, b, c) + 1 })
             }
-            _ => return Err(no_chunk()),
+            _ => return Err(invalid_chunk()),
         };
         Ok(Self { particles, bins })
     }
@@ -177,8 +177,8 @@ mod tests {
 
     #[test]
     fn chunks_round_trip_through_text_and_invalid_text_is_refused() {
-        let nowhere = BinnedChunk { bins: None, ..chunk(3, 5, 0) };
-        for chunk in [chunk(0, 4096, -3), chunk(7, 1, 2), nowhere] {
+        let without_bins = BinnedChunk { bins: None, ..chunk(3, 5, 0) };
+        for chunk in [chunk(0, 4096, -3), chunk(7, 1, 2), without_bins] {
             assert_eq!(BinnedChunk::try_from(chunk.to_string()), Ok(chunk));
         }
         assert_eq!(chunk(0, 4096, -3).to_string(), "0 4096 -3 -3 -3 -2 -2 -2");
@@ -192,7 +192,7 @@ mod tests {
         let first = MortonKey::of(IVec3::ZERO);
         let stretch = Stretch { first, end: MortonKey(first.0 + 1) };
         let wanted =
-            WantedBins { stretch, sight: DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK)) };
+            WantedBins { stretch, deciding: DecidingCells::new(CellBox::cube(IVec3::ZERO, BLOCK)) };
         let (near, far) = (0, 9);
         let chunks = [
             chunk(0, 10, far),

@@ -58,8 +58,8 @@ struct End {
     plan: u32,
     first: u64,
     magic: u64,
-    /// Always 0, so that a changed byte is detected.
-    nothing: u32,
+    /// Padding, always 0. A file with other bytes here is rejected.
+    padding: u32,
     /// CRC-32 of all preceding bytes.
     crc: u32,
 }
@@ -93,7 +93,7 @@ impl PartResults<'_> {
             plan: mark.plan,
             first: mark.stretch.first.0,
             magic: MAGIC,
-            nothing: 0,
+            padding: 0,
             crc: 0,
         };
         let ChecksumWriter { out, mut crc, .. } = out;
@@ -180,7 +180,7 @@ impl PartFile {
         let placed = blocks.iter().zip(levels).map(|(block, level)| (block.block.into(), level));
         let placed: Vec<_> = placed.collect();
         let in_order = placed.is_sorted_by(|&a, &b| block_place(a.0, a.1) < block_place(b.0, b.1));
-        let within = placed.iter().all(|&(block, level)| mark.stretch.holds(level.home(block)));
+        let within = placed.iter().all(|&(block, level)| mark.stretch.contains(level.home(block)));
         if meshes != meshes_end || lacking.len() != components.len() || !in_order || !within {
             return Err(inconsistent());
         }
@@ -214,7 +214,7 @@ fn read_whole(mut file: &File) -> io::Result<Result<End, &'static str>> {
     crc.update(&bytemuck::bytes_of(&end)[..END as usize - 4]);
     Ok(if end.magic != MAGIC {
         Err("it is truncated, or is not a part of a mesh")
-    } else if crc.finalize() != end.crc || end.bytes != before || end.nothing != 0 {
+    } else if crc.finalize() != end.crc || end.bytes != before || end.padding != 0 {
         Err("its checksum is wrong")
     } else {
         Ok(end)

@@ -40,38 +40,38 @@ impl Parts {
     /// [`Error::Frame`] if the particles cannot be sampled or meshed; and [`Error::Write`] if the
     /// part's file cannot be written.
     pub fn part(&self, part: u32) -> Result<PartDone, Error> {
-        let begun = self.begin()?;
+        let request = self.begin()?;
         if part >= self.count {
             return Err(PartsError::NoPart { part, of: self.count }.into());
         }
-        let (plan, fingerprint) = self.planned(&begun)?;
-        let PartsRequest { checked, folder, indicator } = begun;
+        let (plan, fingerprint) = self.planned(&request)?;
+        let PartsRequest { checked, folder, indicator } = request;
         let path = part_in(&folder, part);
         let mark = mark(&plan, fingerprint, part, &checked);
         match PartFile::open(&path, mark, &components(&plan)) {
-            Ok(Some(there)) => return Ok(PartDone::of_file(path, &there)),
+            Ok(Some(existing)) => return Ok(PartDone::of_file(path, &existing)),
             Err(fault @ PartsError::Io { .. }) => return Err(fault.into()),
             Ok(None) | Err(_) => {}
         }
         sweep(&folder);
-        let ready = checked.on_threads()?;
-        let control = &ready.checked.resources.control;
+        let started = checked.on_threads()?;
+        let control = &started.checked.resources.control;
         let prepare = || WholeFile::prepare(&path, Replace::Allow);
         let (file, unfinished) = control
             .cancel
             .guard(prepare, |file| file.temporary().into_iter().map(Into::into).collect())?;
         let mut timings = Timings::default();
         let meshed = self
-            .meshed(&ready, &plan, indicator, mark, &mut timings)
+            .meshed(&started, &plan, indicator, mark, &mut timings)
             .map_err(|error| error.of_file(&self.input))?;
-        let stamp = ready.checked.settings.stamp(&self.input)?;
+        let stamp = started.checked.settings.stamp(&self.input)?;
         if stamp != plan.input {
             return Err(ReadError::new(&self.input, ReadFault::Changed).into());
         }
         let MeshedPart { spool, made, read, warnings } = meshed;
         let made = PartResults { spool: spool.as_ref(), ..made };
         let write = || file.fill(|out| made.write(mark, out)).map_err(Error::from);
-        let filled = ready.threads.install(|| control.during(Stage::Writing, write))?;
+        let filled = started.threads.install(|| control.during(Stage::Writing, write))?;
         let bytes = filled.keep()?;
         drop(unfinished);
         timings.done("write");
@@ -82,27 +82,27 @@ impl Parts {
 
     fn meshed(
         &self,
-        ready: &StartedRequest,
+        started: &StartedRequest,
         plan: &SharedPlan,
         indicator: IndicatorKind,
         mark: PartMark,
         timings: &mut Timings,
     ) -> Result<MeshedPart, Error> {
-        let StartedRequest { checked, threads } = ready;
+        let StartedRequest { checked, threads } = started;
         let control = &checked.resources.control;
         threads.install(|| {
             let wanted = |carried: Vec<usize>| {
                 let sampling = plan.sampling(checked, carried)?;
                 let coarsest = plan.cells.sizes.as_ref().map(|sizes| sizes.coarsest);
-                let sight = sampling.sight(indicator, &checked.surfacing, coarsest);
-                Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, sight }))
+                let deciding = sampling.deciding_cells(indicator, &checked.surfacing, coarsest);
+                Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, deciding }))
             };
             // The reach depends on whether there are attributes, but not on which attributes they
             // are.
             let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
             let reading = PartInput::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {
-                return Ok(MeshedPart::nothing(plan, 0));
+                return Ok(MeshedPart::without_blocks(plan, 0));
             }
             let changed = || {
                 let (input, plan) = (self.input.clone(), plan_file::path_in(&self.folder()));
@@ -116,8 +116,8 @@ impl Parts {
             timings.done("open");
             let attributes = file.particles.attributes();
             let carried = checked.settings.carried(&file.particles, None)?;
-            if !reading.is_of(&file.particles)
-                || !alike(&carried_infos(attributes, &carried), &plan.attributes)
+            if !reading.matches(&file.particles)
+                || !are_compatible(&carried_infos(attributes, &carried), &plan.attributes)
             {
                 return Err(changed().into());
             }
@@ -134,7 +134,7 @@ impl Parts {
                 return Err(changed().into());
             }
             if share.counted == 0 {
-                return Ok(MeshedPart::nothing(plan, reading.count()));
+                return Ok(MeshedPart::without_blocks(plan, reading.count()));
             }
             let engine = Engine::sample_counted(counted, sampling.resources.budget, timings)?;
             drop(file);
@@ -158,7 +158,7 @@ impl Parts {
 
 impl MeshedPart {
     /// A part without blocks, after reading `read` particles.
-    fn nothing(plan: &SharedPlan, read: usize) -> Self {
+    fn without_blocks(plan: &SharedPlan, read: usize) -> Self {
         let made = PartResults {
             spool: None,
             occupied: Vec::new(),
@@ -203,7 +203,7 @@ impl PartDone {
 /// Whether attributes have the same names and numbers of components, and are integers in both lists
 /// or in neither. Kinds may differ in other ways, because the plan's kinds come from all particles,
 /// and a part reads only some particles.
-fn alike(own: &[AttributeInfo], planned: &[AttributeInfo]) -> bool {
+fn are_compatible(own: &[AttributeInfo], planned: &[AttributeInfo]) -> bool {
     let same = |(a, b): (&AttributeInfo, &AttributeInfo)| {
         (&a.name, a.components, a.kind.is_whole()) == (&b.name, b.components, b.kind.is_whole())
     };

@@ -1,5 +1,5 @@
-//! Merges parts: lists the blocks of all parts in order, and then stitches and writes them as a
-//! single run does.
+//! Merges parts: lists the blocks of all parts in order, and then stitches them like a single
+//! run.
 
 use crate::brick::FrameFacts;
 use crate::error::{Error, PartsError};
@@ -38,9 +38,9 @@ impl Parts {
     /// [`Error::Parts`] if there is no plan for this request, or if parts are missing, damaged or
     /// from another plan; [`Error::Frame`] if there is no surface, or scratch files fail.
     pub fn merge(&self) -> Result<Surface, Error> {
-        let begun = self.begin()?;
-        let (plan, fingerprint) = self.planned(&begun)?;
-        let PartsRequest { checked, folder, indicator } = begun;
+        let request = self.begin()?;
+        let (plan, fingerprint) = self.planned(&request)?;
+        let PartsRequest { checked, folder, indicator } = request;
         let StartedRequest { checked, threads } = checked.on_threads()?;
         let mut timings = Timings::default();
         let control = &checked.resources.control;
@@ -73,7 +73,7 @@ fn joined(
     let components = components(plan);
     let (mut files, mut missing) = (Vec::new(), Vec::new());
     for part in 0..plan.count() {
-        checked.go_on()?;
+        checked.check_cancelled()?;
         let mark = mark(plan, fingerprint, part, checked);
         match PartFile::open(&part_in(folder, part), mark, &components)? {
             Some(file) => files.push(file),
@@ -124,7 +124,7 @@ fn extracted(
     let in_scratch =
         |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });
 
-    let crowding = report.facts.spacing_cells().map(|spacing| occupied.crowding(spacing));
+    let crowding = report.facts.spacing_cells().map(|spacing| occupied.relative_density(spacing));
     let lacking = plan.attributes.iter().zip(lacking).filter(|&(_, without)| without > 0);
     let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
     report.warnings =

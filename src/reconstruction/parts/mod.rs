@@ -56,7 +56,7 @@ const MOST_PARTS: u32 = 1000;
 /// let parts = Reconstruction::new().parts("frame.bgeo", "mesh.ply", 8);
 /// parts.plan()?;
 /// for part in 0..8 {
-///     parts.part(part)?; // elsewhere
+///     parts.part(part)?; // in any process, on any machine
 /// }
 /// parts.merge()?.write("mesh.ply")?;
 /// # Ok::<(), meniscus::Error>(())
@@ -236,13 +236,14 @@ impl Parts {
         Ok(PartsRequest { checked, folder: self.folder(), indicator })
     }
 
-    /// Loads the plan of this request, with its fingerprint.
-    fn planned(&self, begun: &PartsRequest) -> Result<(SharedPlan, u32), Error> {
-        let PartsRequest { checked, folder, .. } = begun;
+    /// Loads the plan with its fingerprint. Returns an error if the plan does not exist or was made
+    /// for another request.
+    fn planned(&self, request: &PartsRequest) -> Result<(SharedPlan, u32), Error> {
+        let PartsRequest { checked, folder, .. } = request;
         let Some(found) = SharedPlan::load(folder)? else {
             return Err(PartsError::NoPlan(plan_file::path_in(folder)).into());
         };
-        found.0.refuse_other(folder, checked, &self.input, self.count)?;
+        found.0.check_request(folder, checked, &self.input, self.count)?;
         Ok(found)
     }
 }

@@ -37,25 +37,25 @@ impl Parts {
     /// methods and packed frames, which do not support parts, [`Error::Read`], and [`Error::Frame`]
     /// for particles that cannot be sampled.
     pub fn plan(&self) -> Result<PartsPlan, Error> {
-        let begun = self.begin()?;
+        let request = self.begin()?;
         let found =
-            SharedPlan::load(&begun.folder).map_err(Error::from).and_then(|found| match found {
+            SharedPlan::load(&request.folder).map_err(Error::from).and_then(|found| match found {
                 Some((plan, _)) => plan
-                    .refuse_other(&begun.folder, &begun.checked, &self.input, self.count)
+                    .check_request(&request.folder, &request.checked, &self.input, self.count)
                     .map(|()| Some(plan)),
                 None => Ok(None),
             });
         match (found, self.existing) {
             (Ok(Some(plan)), ExistingPlan::Refuse | ExistingPlan::ReplaceDiffering) => {
-                return self.describe(plan, None, &begun, Timings::default());
+                return self.describe(plan, None, &request, Timings::default());
             }
             (Err(fault), ExistingPlan::Refuse) => return Err(fault),
             _ => {}
         }
-        let PartsRequest { checked, folder, indicator } = begun;
-        let ready = checked.clone().on_threads()?;
+        let PartsRequest { checked, folder, indicator } = request;
+        let started = checked.clone().on_threads()?;
         let mut timings = Timings::default();
-        let (plan, needs) = self.measured(&ready, indicator, &mut timings)?;
+        let (plan, needs) = self.measured(&started, indicator, &mut timings)?;
         let save = || {
             plan.save(&folder)?;
             sweep(&folder);
@@ -69,10 +69,10 @@ impl Parts {
         &self,
         plan: SharedPlan,
         needs: Option<Vec<PartNeeds>>,
-        begun: &PartsRequest,
+        request: &PartsRequest,
         timings: Timings,
     ) -> Result<PartsPlan, Error> {
-        let path = path_in(&begun.folder);
+        let path = path_in(&request.folder);
         let no_calibration =
             || PartsError::Plan { path: path.clone(), what: "it has no calibration".into() };
         let calibration = plan.calibration.ok_or_else(no_calibration)?;
@@ -87,11 +87,11 @@ impl Parts {
             moved_to: plan.moved.then_some(plan.origin),
             format: plan.format,
             cells: plan.cells,
-            indicator: begun.indicator,
+            indicator: request.indicator,
             census: plan.census,
             calibration,
-            budget: begun.checked.resources.budget.0 + begun.checked.surfacing.solid_bytes(),
-            scratch_folder: begun.checked.resources.scratch.clone(),
+            budget: request.checked.resources.budget.0 + request.checked.surfacing.solid_bytes(),
+            scratch_folder: request.checked.resources.scratch.clone(),
             timings,
             path,
         })
@@ -100,17 +100,17 @@ impl Parts {
     /// Measures the frame, divides its blocks, and estimates the resources of each part.
     fn measured(
         &self,
-        ready: &StartedRequest,
+        started: &StartedRequest,
         indicator: IndicatorKind,
         timings: &mut Timings,
     ) -> Result<(SharedPlan, Vec<PartNeeds>), Error> {
-        let (StartedRequest { checked, threads }, input) = (ready, &self.input);
+        let (StartedRequest { checked, threads }, input) = (started, &self.input);
         let stamp = || checked.settings.stamp(input);
         let before = stamp()?;
         let measured = threads.install(|| {
             let open = || {
                 let file = open_wanted(input, checked.wanted(), checked.unpacking())?;
-                let file = file.with_some().map_err(|fault| ReadError::new(input, fault))?;
+                let file = file.require_selected().map_err(|fault| ReadError::new(input, fault))?;
                 timings.done("open");
                 let source = SpacingHints { path: Some(input), spacing: file.spacing };
                 let chosen = checked.choose(&file.particles, source)?;
@@ -140,15 +140,15 @@ impl Parts {
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
         // Planning needs no attributes.
-        let bare = Sampling { carried: Vec::new(), ..sampling.clone() };
+        let without_attributes = Sampling { carried: Vec::new(), ..sampling.clone() };
         let cut = chunks::cut(particles);
-        let watched = chunks::watched(particles, &cut, &sampling.grid);
-        let count = || CountedFrame::for_surface(&watched, &bare, surfacing, None);
+        let with_boxes = chunks::with_boxes(particles, &cut, &sampling.grid);
+        let count = || CountedFrame::for_surface(&with_boxes, &without_attributes, surfacing, None);
         let counted = control.during(Stage::Counting, count)?;
-        let chunks = chunks::boxed(&cut, &watched, sampling.domain.as_ref());
+        let chunks = chunks::boxed(&cut, &with_boxes, sampling.domain.as_ref());
         let (census, bins) = (counted.census(), counted.bins().collect::<Vec<_>>());
         timings.done("count");
-        let engine = Engine::sample_counted(counted, bare.resources.budget, timings)?;
+        let engine = Engine::sample_counted(counted, without_attributes.resources.budget, timings)?;
         let calibrated = engine.calibrate(surfacing, checked.calibration.as_ref(), timings)?;
         let measured = calibrated.measured();
         let calibration = checked.calibration.or(measured.map(|measured| measured.calibration));
@@ -160,9 +160,9 @@ impl Parts {
         let coincident = engine.coincident();
         let finer_blocks = engine.finer_blocks().cloned().unwrap_or_default();
         drop(engine);
-        let sight = sampling.sight(indicator, surfacing, sampling.coarsest());
-        let shared = shared(&bins, &cuts, sight);
-        let parts = shares(&bins, &cuts, &shared);
+        let sight = sampling.deciding_cells(indicator, surfacing, sampling.coarsest());
+        let sampled_bins = sampled_bins(&bins, &cuts, sight);
+        let parts = shares(&bins, &cuts, &sampled_bins);
         let plan = SharedPlan {
             meniscus: env!("CARGO_PKG_VERSION").into(),
             settings: checked.settings.kept(),
@@ -189,7 +189,7 @@ impl Parts {
             let attributes = || Ok(plan.attributes.clone());
             checked.settings.check_attributes(&self.output, format, attributes)?;
         }
-        let needs = (0..).zip(&shared).map(|(part, known)| {
+        let needs = (0..).zip(&sampled_bins).map(|(part, known)| {
             let bins = known.iter().map(|&bin| bins[bin as usize]);
             let estimate = sampling.estimate(particles, surfacing, bins, plan.stretch(part));
             let needs =
@@ -252,27 +252,35 @@ fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
 }
 
 /// For each part, the indices in `bins` of the bins that it samples.
-fn shared(bins: &[(MortonKey, usize)], cuts: &[MortonKey], sight: DecidingCells) -> Vec<Vec<u32>> {
-    let seen_by = |&(bin, _): &(MortonKey, usize)| {
+fn sampled_bins(
+    bins: &[(MortonKey, usize)],
+    cuts: &[MortonKey],
+    sight: DecidingCells,
+) -> Vec<Vec<u32>> {
+    let sampling_parts = |&(bin, _): &(MortonKey, usize)| {
         let mut parts: Vec<usize> =
             sight.blocks(bin.coord()).map(|block| part_of(cuts, MortonKey::of(block))).collect();
         parts.sort_unstable();
         parts.dedup();
         parts
     };
-    let seen_by: Vec<Vec<usize>> = bins.par_iter().map(seen_by).collect();
-    let mut shared = vec![Vec::new(); cuts.len()];
-    for (bin, parts) in (0..).zip(seen_by) {
-        parts.into_iter().for_each(|part| shared[part].push(bin));
+    let sampling_parts: Vec<Vec<usize>> = bins.par_iter().map(sampling_parts).collect();
+    let mut sampled_bins = vec![Vec::new(); cuts.len()];
+    for (bin, parts) in (0..).zip(sampling_parts) {
+        parts.into_iter().for_each(|part| sampled_bins[part].push(bin));
     }
-    shared
+    sampled_bins
 }
 
-fn shares(bins: &[(MortonKey, usize)], cuts: &[MortonKey], shared: &[Vec<u32>]) -> Vec<BlockShare> {
+fn shares(
+    bins: &[(MortonKey, usize)],
+    cuts: &[MortonKey],
+    sampled_bins: &[Vec<u32>],
+) -> Vec<BlockShare> {
     let mut own = vec![0; cuts.len()];
     bins.iter().for_each(|&(bin, count)| own[part_of(cuts, block_of(bin))] += count as u64);
     let counted = |bins_of: &Vec<u32>| bins_of.iter().map(|&bin| bins[bin as usize].1 as u64).sum();
-    let parts = cuts.iter().zip(own).zip(shared.iter().map(counted));
+    let parts = cuts.iter().zip(own).zip(sampled_bins.iter().map(counted));
     parts
         .map(|((first, particles), counted)| BlockShare { first: first.0, particles, counted })
         .collect()

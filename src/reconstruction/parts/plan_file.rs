@@ -24,7 +24,7 @@ use crate::settings::{StoredSettings, differing};
 
 use super::chunks::BinnedChunk;
 
-/// Data that parts and merging share.
+/// The plan, which all parts and the merge use.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(super) struct SharedPlan {
     /// The version of this library.
@@ -106,12 +106,12 @@ impl SharedPlan {
             Err(fault) => return Err(PartsError::Io { path, fault }),
         };
         let damaged = |what: String| PartsError::Plan { path: path.clone(), what };
-        let kept: PlanFile =
+        let file: PlanFile =
             serde_json::from_slice(&bytes).map_err(|fault| damaged(fault.to_string()))?;
-        if kept.to_text() != bytes || kept.plan.fingerprint() != kept.fingerprint {
+        if file.to_text() != bytes || file.plan.fingerprint() != file.fingerprint {
             return Err(damaged("it was modified after it was written".into()));
         }
-        let PlanFile { plan, fingerprint } = kept;
+        let PlanFile { plan, fingerprint } = file;
         plan.validate().map_err(damaged)?;
         Ok(Some((plan, fingerprint)))
     }
@@ -120,9 +120,9 @@ impl SharedPlan {
     pub(super) fn save(&self, folder: &Path) -> Result<u32, PartsError> {
         make_folder(folder).map_err(|fault| PartsError::Io { path: folder.to_owned(), fault })?;
         let path = path_in(folder);
-        let kept = PlanFile { fingerprint: self.fingerprint(), plan: self.clone() };
-        replace_small(&path, &kept.to_text()).map_err(|fault| PartsError::Io { path, fault })?;
-        Ok(kept.fingerprint)
+        let file = PlanFile { fingerprint: self.fingerprint(), plan: self.clone() };
+        replace_small(&path, &file.to_text()).map_err(|fault| PartsError::Io { path, fault })?;
+        Ok(file.fingerprint)
     }
 
     /// A checksum of all values in the plan.
@@ -130,7 +130,7 @@ impl SharedPlan {
         crc32fast::hash(&serde_json::to_vec(self).expect("string keys and finite depth"))
     }
 
-    /// Rejects values that cannot have been planned.
+    /// Rejects invalid or inconsistent values.
     fn validate(&self) -> Result<(), String> {
         self.grid().map_err(|fault| fault.to_string())?;
         let first = self.parts.first().ok_or("it has no parts")?;
@@ -151,7 +151,7 @@ impl SharedPlan {
     }
 
     /// Rejects a plan that was made for another request, or whose input has changed.
-    pub(super) fn refuse_other(
+    pub(super) fn check_request(
         &self,
         folder: &Path,
         checked: &CheckedRequest,

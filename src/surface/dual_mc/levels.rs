@@ -59,7 +59,7 @@ struct CellSample {
 }
 
 /// A block, its level, and the fields of its cells.
-struct Mixed<'a> {
+struct MixedBlock<'a> {
     fields: &'a LevelFields,
     block: IVec3,
     level: BlockLevel,
@@ -88,7 +88,7 @@ pub fn cells_by_level(block: IVec3, level: BlockLevel, region: CellBox) -> [Cell
     [own, wide.in_wider_cells(1)]
 }
 
-impl Mixed<'_> {
+impl MixedBlock<'_> {
     fn is_wider(&self, cell: IVec3) -> bool {
         self.level.is_wider(self.block, cell)
     }
@@ -196,7 +196,7 @@ pub fn mixed_block_mesh(
     iso: Isovalue,
     normals: Normals,
 ) -> Option<BlockMesh> {
-    let mixed = Mixed { fields, block, level };
+    let mixed = MixedBlock { fields, block, level };
     let mut mesh = BlockMesh { block, level, ..BlockMesh::default() };
     let region = region.tiled();
     let cells = dual_cells(region);

@@ -6,7 +6,7 @@
 use glam::{DVec3, IVec3, Vec4};
 
 use super::near::{NearTriangle, NearTriangles};
-use super::reach::{Reach, TOGETHER};
+use super::reach::{Reach, VOXELS_PER_GROUP};
 use super::sides::Sides;
 use super::triangle::Triangle;
 use super::{BAND, BLOCK, LEAF, Leaf, first_voxel};
@@ -48,7 +48,7 @@ impl Band {
             touched: [false; LEAVES.pow(3)],
             // There is room for one more group, because a group is stored before it is known
             // whether it is needed.
-            groups: vec![[0; 4]; voxels / TOGETHER + 1],
+            groups: vec![[0; 4]; voxels / VOXELS_PER_GROUP + 1],
         }
     }
 
@@ -93,7 +93,7 @@ impl Band {
     fn compare<const N: usize>(&mut self, near: &NearTriangles, index: usize) -> usize {
         let group = &near.triangles[index..][..N];
         let Some(reach) = Reach::of(near, group) else { return N };
-        self.touch(reach.first, reach.last());
+        self.mark_leaves(reach.first, reach.last());
         let from = reach.first.as_dvec3();
         let mut triangles = [Triangle::default(); N];
         for (to, triangle) in triangles.iter_mut().zip(group) {
@@ -106,13 +106,13 @@ impl Band {
             let at = reach.first + IVec3::new(x, y, z);
             let voxel = (at.x * BLOCK + at.y) * BLOCK + at.z;
             let from_first = [x as f32, y as f32, z as f32];
-            self.learn(&triangles, index, voxel as usize, from_first);
+            self.compare_voxels(&triangles, index, voxel as usize, from_first);
         }
         N
     }
 
     /// Marks the leaves of the voxels from `first` to `last`.
-    fn touch(&mut self, first: IVec3, last: IVec3) {
+    fn mark_leaves(&mut self, first: IVec3, last: IVec3) {
         let [first, last] = [first / LEAF, last / LEAF].map(IVec3::as_usizevec3);
         for x in first.x..=last.x {
             for y in first.y..=last.y {
@@ -123,11 +123,11 @@ impl Band {
         }
     }
 
-    /// Compares triangles, of which the first has number `index`, with the [`TOGETHER`] voxels from
-    /// number `voxel` on. `x`, `y` and `z` are the coordinates of the first of these voxels,
-    /// relative to the triangles' origin.
+    /// Compares triangles with the [`VOXELS_PER_GROUP`] voxels that start at number `voxel`.
+    /// `index` is the number of the first triangle. `x`, `y` and `z` are the coordinates of the
+    /// first voxel, relative to the triangles' origin.
     #[inline(always)]
-    fn learn<const N: usize>(
+    fn compare_voxels<const N: usize>(
         &mut self,
         triangles: &[Triangle; N],
         index: usize,
@@ -135,8 +135,8 @@ impl Band {
         [x, y, z]: [f32; 3],
     ) {
         const WITHIN: &str = "all voxels of a group are in the block";
-        let squared = self.squared[voxel..].first_chunk_mut::<TOGETHER>().expect(WITHIN);
-        let nearest = self.nearest[voxel..].first_chunk_mut::<TOGETHER>().expect(WITHIN);
+        let squared = self.squared[voxel..].first_chunk_mut::<VOXELS_PER_GROUP>().expect(WITHIN);
+        let nearest = self.nearest[voxel..].first_chunk_mut::<VOXELS_PER_GROUP>().expect(WITHIN);
         let mut known = Vec4::from_array(*squared);
         // The bits of the triangle numbers, stored as floats. `select` copies them unchanged.
         let mut numbers = Vec4::from_array(nearest.map(f32::from_bits));

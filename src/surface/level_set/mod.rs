@@ -486,7 +486,7 @@ mod tests {
     }
 
     #[test]
-    fn blocks_are_near_the_plane_of_a_large_triangle_and_not_only_its_box() {
+    fn only_blocks_near_the_plane_of_a_large_triangle_are_visited() {
         let corners = [[0.0; 3], [4000.0, 0.0, 4000.0], [0.0, 4000.0, 4000.0]].map(DVec3::from);
         let mut blocks = 0;
         each_block_near(corners, |_| blocks += 1);

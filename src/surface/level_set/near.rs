@@ -137,8 +137,8 @@ const RUN: usize = 16;
 
 impl Numbering {
     fn clear(&mut self, triangles: usize) {
-        // A closed mesh has about half as many vertices as triangles, so the table has about eight
-        // slots per vertex, or more.
+        // A closed mesh has about half as many vertices as triangles, so the table has at least
+        // about eight slots per vertex.
         self.slots.clear();
         self.slots.resize((triangles * 4).next_power_of_two().max(RUN), [EMPTY; 2]);
     }

@@ -11,7 +11,7 @@ use super::near::{NearTriangle, NearTriangles};
 use super::{BAND, BLOCK};
 
 /// Number of voxels that a triangle is compared with at once. They are neighbours along z.
-pub const TOGETHER: usize = 4;
+pub const VOXELS_PER_GROUP: usize = 4;
 /// A margin, in voxels, added to limits on distances because distances are rounded.
 pub const ROUNDING: f32 = 1e-3;
 
@@ -90,25 +90,25 @@ impl Reach {
         self.first + self.end - 1
     }
 
-    /// Stores the first voxel of each group of [`TOGETHER`] voxels that contains voxels within
-    /// reach, and returns the number of groups. All voxels of a group are in the block.
+    /// Stores the first voxel of each group of [`VOXELS_PER_GROUP`] voxels that contains voxels
+    /// within reach, and returns the number of groups. All voxels of a group are in the block.
     pub fn groups(&self, groups: &mut [[i8; 4]]) -> usize {
-        let together = TOGETHER as i32;
-        let last = BLOCK - together - self.first.z;
+        let per_group = VOXELS_PER_GROUP as i32;
+        let last = BLOCK - per_group - self.first.z;
         let mut count = 0;
         for x in 0..self.end.x {
             let heights = self.heights([-BAND, BAND], 0, x);
-            let left = BAND * BAND + ROUNDING - self.squared_beyond(0, x);
-            let [y, y_end] = self.range(heights, 1, left);
+            let remaining = BAND * BAND + ROUNDING - self.squared_beyond(0, x);
+            let [y, y_end] = self.range(heights, 1, remaining);
             for y in y..y_end {
                 let heights = self.heights(heights, 1, y);
-                let [mut z, z_end] = self.range(heights, 2, left - self.squared_beyond(1, y));
+                let [mut z, z_end] = self.range(heights, 2, remaining - self.squared_beyond(1, y));
                 // There is rarely more than one group. Storing the first one without a branch
                 // leaves only branches that the processor predicts well.
                 groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
                 count += usize::from(z < z_end);
-                while z_end - z > together {
-                    z += together;
+                while z_end - z > per_group {
+                    z += per_group;
                     groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
                     count += 1;
                 }
@@ -131,23 +131,23 @@ impl Reach {
     }
 
     /// The coordinates that are possible for heights from `low` to `high`, within a squared
-    /// distance of `left` from the triangles' bounding box.
-    fn range(&self, [low, high]: [f32; 2], axis: usize, left: f32) -> [i32; 2] {
+    /// distance of `remaining` from the triangles' bounding box.
+    fn range(&self, [low, high]: [f32; 2], axis: usize, remaining: f32) -> [i32; 2] {
         let aside = less(self.spread * greater(-low, high), BAND);
         let middle = self.centre[axis] + (low + high) / 2.0 * self.normal[axis];
         let half = self.half[axis]
             + (high - low) / 2.0 * self.normal[axis].abs()
             + aside * self.across[axis];
-        let reach = self.half[axis] + left.max(0.0).sqrt();
+        let reach = self.half[axis] + remaining.max(0.0).sqrt();
         [
-            end(greater(middle - half, self.centre[axis] - reach)),
-            end(less(middle + half, self.centre[axis] + reach)).min(self.end[axis]),
+            next_integer(greater(middle - half, self.centre[axis] - reach)),
+            next_integer(less(middle + half, self.centre[axis] + reach)).min(self.end[axis]),
         ]
     }
 }
 
 /// The least whole number that is greater than `at` and not negative.
-fn end(at: f32) -> i32 {
+fn next_integer(at: f32) -> i32 {
     (at + 1.0).max(0.0) as i32
 }
 

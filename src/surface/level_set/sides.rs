@@ -123,16 +123,16 @@ impl Sides {
             self.is_known[column] = self.is_crossed(column);
             self.inside[column] = self.crossed(column, 0);
         }
-        self.spread(squared);
+        self.spread_sides(squared);
         for column in 0..EDGE * EDGE {
             if !self.is_known[column]
-                && let Some(is_inside) = sighted(column, squared, nearest, near)
+                && let Some(is_inside) = side_by_line_of_sight(column, squared, nearest, near)
             {
                 self.set(column, is_inside);
-                self.spread(squared);
+                self.spread_sides(squared);
             }
         }
-        self.settle(squared);
+        self.resolve_contradictions(squared);
     }
 
     /// A bit for each voxel of a column: whether the voxel is inside. Columns and bits are ordered
@@ -182,15 +182,15 @@ impl Sides {
     }
 
     /// Spreads the known sides over the block: along +x and +y, and then back.
-    fn spread(&mut self, squared: &[f32]) {
+    fn spread_sides(&mut self, squared: &[f32]) {
         for x in 0..EDGE {
             for y in 0..EDGE {
                 let column = x * EDGE + y;
                 if x > 0 {
-                    self.pass(column - EDGE, column, squared);
+                    self.pass_side(column - EDGE, column, squared);
                 }
                 if y > 0 {
-                    self.pass(column - 1, column, squared);
+                    self.pass_side(column - 1, column, squared);
                 }
             }
         }
@@ -198,10 +198,10 @@ impl Sides {
             for y in (0..EDGE).rev() {
                 let column = x * EDGE + y;
                 if x < EDGE - 1 {
-                    self.pass(column + EDGE, column, squared);
+                    self.pass_side(column + EDGE, column, squared);
                 }
                 if y < EDGE - 1 {
-                    self.pass(column + 1, column, squared);
+                    self.pass_side(column + 1, column, squared);
                 }
             }
         }
@@ -209,7 +209,7 @@ impl Sides {
 
     /// Passes the side of a column on to a neighbour that crosses no triangle, if the surface
     /// cannot pass between two adjacent voxels of the columns.
-    fn pass(&mut self, from: usize, to: usize, squared: &[f32]) {
+    fn pass_side(&mut self, from: usize, to: usize, squared: &[f32]) {
         if self.is_known[from] && !self.is_known[to] {
             let distance = |column: usize, z: usize| squared[column * EDGE + z].sqrt();
             let apart = (0..EDGE).find(|&z| distance(from, z) + distance(to, z) > APART);
@@ -221,7 +221,7 @@ impl Sides {
 
     /// If neighbouring deep voxels are on different sides, puts connected deep voxels on the same
     /// side, for which they [vote](Self::vote).
-    fn settle(&mut self, squared: &[f32]) {
+    fn resolve_contradictions(&mut self, squared: &[f32]) {
         let deep: Vec<u64> = squared
             .chunks_exact(EDGE)
             .map(|column| {
@@ -239,7 +239,7 @@ impl Sides {
         if !is_settled {
             let voted = self.vote(&deep);
             for column in 0..EDGE * EDGE {
-                self.agree(column, voted[column], deep[column]);
+                self.apply_vote(column, voted[column], deep[column]);
             }
         }
     }
@@ -249,17 +249,17 @@ impl Sides {
     /// voxels, the set gets the side on which most of all its voxels are.
     fn vote(&self, deep: &[u64]) -> Vec<u64> {
         let mut voted = vec![0; EDGE * EDGE];
-        let mut left = deep.to_vec();
+        let mut unvisited = deep.to_vec();
         let mut connected: Vec<[usize; 3]> = Vec::new();
         for column in 0..EDGE * EDGE {
-            while left[column] != 0 {
-                let z = left[column].trailing_zeros() as usize;
-                left[column] &= left[column] - 1;
+            while unvisited[column] != 0 {
+                let z = unvisited[column].trailing_zeros() as usize;
+                unvisited[column] &= unvisited[column] - 1;
                 connected.clear();
                 connected.push([column / EDGE, column % EDGE, z]);
                 let mut next = 0;
                 // The number of votes for the inside minus the number of votes for the outside,
-                // first of all voxels, and then of the voxels in crossed columns.
+                // among all voxels, and among the voxels in crossed columns.
                 let (mut all, mut of_crossed) = (0, 0);
                 while let Some(&at) = connected.get(next) {
                     next += 1;
@@ -271,8 +271,9 @@ impl Sides {
                         for step in [-1, 1] {
                             let mut to = at;
                             to[axis] = at[axis].wrapping_add_signed(step);
-                            if to[axis] < EDGE && left[to[0] * EDGE + to[1]] >> to[2] & 1 == 1 {
-                                left[to[0] * EDGE + to[1]] ^= 1 << to[2];
+                            if to[axis] < EDGE && unvisited[to[0] * EDGE + to[1]] >> to[2] & 1 == 1
+                            {
+                                unvisited[to[0] * EDGE + to[1]] ^= 1 << to[2];
                                 connected.push(to);
                             }
                         }
@@ -289,7 +290,7 @@ impl Sides {
 
     /// Gives the deep voxels of a column the sides that were voted for, and the other voxels the
     /// sides that fit best.
-    fn agree(&mut self, column: usize, voted: u64, deep: u64) {
+    fn apply_vote(&mut self, column: usize, voted: u64, deep: u64) {
         let candidates = if self.is_crossed(column) {
             [0, -1, 1].map(|least| self.crossed(column, least))
         } else {
@@ -305,7 +306,12 @@ impl Sides {
 /// the column's voxels in the band to the triangle that is nearest to this voxel. The column
 /// is outside the mesh if the first triangle on this line faces the voxel. Returns `None` if the
 /// column has no such voxel, or if the line hits no triangle.
-fn sighted(column: usize, squared: &[f32], nearest: &[u32], near: &NearTriangles) -> Option<bool> {
+fn side_by_line_of_sight(
+    column: usize,
+    squared: &[f32],
+    nearest: &[u32],
+    near: &NearTriangles,
+) -> Option<bool> {
     let mut voxels = column * EDGE..(column + 1) * EDGE;
     let voxel = voxels.find(|&voxel| (ON_SURFACE..BAND * BAND).contains(&squared[voxel]))?;
     let at = [column / EDGE, column % EDGE, voxel % EDGE].map(|at| at as i32);

@@ -1,10 +1,10 @@
 //! Triangles in a tree of boxes, for searches.
 //!
-//! The triangles are divided into two groups again and again, by the coordinate in which they
-//! differ most. The size of a triangle counts as a coordinate, because a large triangle makes the
-//! boxes of all its nodes large. A leaf has 8 consecutive triangles and a node up to 8 consecutive
-//! children, so no node stores where its children are. A node's data are arrays of 8 numbers, on
-//! which vector instructions work.
+//! The triangles are divided recursively into two groups, by the coordinate in which they differ
+//! most. The size of a triangle counts as a coordinate, because a large triangle makes the boxes of
+//! all its nodes large. A leaf has 8 consecutive triangles and a node up to 8 consecutive children,
+//! so no node stores where its children are. A node's data are arrays of 8 numbers, which vector
+//! instructions process together.
 
 use glam::{DVec3, Vec3};
 use multiversion::multiversion;
@@ -27,9 +27,9 @@ type Lanes = [f64; WIDTH];
 /// The bounds of a node's children, or of 8 leaves: boxes and discs, which are rounded outwards.
 ///
 /// A disc bounds a smooth surface more tightly than a box does. It contains the points whose
-/// distance from its centre is at most `thickness` along its normal, and at most `radius` across
-/// it. Children with many triangles have infinite discs. The boxes of missing children contain
-/// nothing.
+/// distance from its centre is at most `thickness` along its normal, and at most `radius`
+/// perpendicular to the normal. Children with many triangles have infinite discs. The boxes of
+/// missing children contain nothing.
 #[derive(Debug, Clone)]
 struct Node {
     lo: [[f32; WIDTH]; 3],
@@ -111,7 +111,8 @@ impl BoxTree {
         self.levels.len() - 1
     }
 
-    /// Turns the best find of a search, a squared distance and a place in the order, into a result.
+    /// Converts the best result of a search from a place in the order to a triangle number. `None`
+    /// if the search found no triangle.
     fn found(&self, (squared, place): (f64, usize)) -> Option<(f64, usize)> {
         (place < usize::MAX).then(|| (squared, self.order[place] as usize))
     }
@@ -257,7 +258,7 @@ impl Vicinity<'_> {
 }
 
 /// A box that contains nothing.
-const NOTHING: [DVec3; 2] = [DVec3::INFINITY, DVec3::NEG_INFINITY];
+const EMPTY_BOX: [DVec3; 2] = [DVec3::INFINITY, DVec3::NEG_INFINITY];
 
 impl Default for Node {
     /// A node without children.
@@ -323,7 +324,7 @@ impl Bounds {
             })
         };
         let corners = || triangles().flatten();
-        let [lo, hi] = corners().fold(NOTHING, |[lo, hi], at| [lo.min(at), hi.max(at)]);
+        let [lo, hi] = corners().fold(EMPTY_BOX, |[lo, hi], at| [lo.min(at), hi.max(at)]);
         let normal: DVec3 = triangles().map(|[a, b, c]| (b - a).cross(c - a)).sum();
         let normal = normal.normalize_or_zero().as_vec3();
         let centre = (lo / 2.0 + hi / 2.0).as_vec3();
@@ -368,7 +369,7 @@ fn sorted(count: usize, corners: &(impl Fn(usize) -> [DVec3; 3] + Sync)) -> Vec<
         [a.min(b).min(c), a.max(b).max(c)]
     };
     let join = |a: [DVec3; 2], b: [DVec3; 2]| [a[0].min(b[0]), a[1].max(b[1])];
-    let [lo, hi] = (0..count).into_par_iter().map(bounds).reduce(|| NOTHING, join);
+    let [lo, hi] = (0..count).into_par_iter().map(bounds).reduce(|| EMPTY_BOX, join);
     let size = (hi - lo).max_element();
     let item = |number: usize| {
         let [from, to] = bounds(number);
@@ -395,7 +396,8 @@ fn divide(items: &mut [Item]) {
     }
     let extent = |axis: usize| greatest[axis] - least[axis];
     let axis = (1..4).fold(0, |best, axis| if extent(axis) > extent(best) { axis } else { best });
-    // The first group has a power of two of leaves, so that the groups are subtrees.
+    // The size of the first group is a power of two, so that each leaf and each node either lies
+    // within one group, or contains both groups.
     let count = items.len().next_power_of_two() / 2;
     items.select_nth_unstable_by(count, |a, b| a.0[axis].total_cmp(&b.0[axis]));
     let (first, second) = items.split_at_mut(count);
@@ -435,8 +437,8 @@ fn squared_distances(node: &Node, point: [f64; 3]) -> Lanes {
             or_zero(greater(below[1], above[1])),
             or_zero(greater(below[2], above[2])),
         ];
-        // There is no margin for rounding: if many triangles meet at the nearest point, a search
-        // with a margin would visit them all.
+        // There is no margin for rounding, because a search with a margin would visit all triangles
+        // that meet at the nearest point, which can be many.
         let from_box = dot(outside, outside);
         let from_centre = minus(point, at_lane(&node.centre, lane));
         let height = dot(from_centre, at_lane(&node.normal, lane));
@@ -473,7 +475,10 @@ fn at_lane<T: Copy + Into<f64>>(at: &[[T; WIDTH]; 3], lane: usize) -> [f64; 3] {
 pub fn squared_distance(point: [f64; 3], [a, b, c]: [[f64; 3]; 3]) -> f64 {
     let (ab, bc, ca) = (minus(b, a), minus(c, b), minus(a, c));
     let (ap, bp, cp) = (minus(point, a), minus(point, b), minus(point, c));
-    let edges = least(least(to_edge(ab, ap), to_edge(bc, bp)), to_edge(ca, cp));
+    let edges = least(
+        least(squared_edge_distance(ab, ap), squared_edge_distance(bc, bp)),
+        squared_edge_distance(ca, cp),
+    );
     // Barycentric coordinates, times the squared length of the normal. They describe a point of the
     // triangle even if rounding makes the normal of a narrow triangle useless.
     let normal = cross(ca, ab);
@@ -528,7 +533,7 @@ pub fn nearest_place(point: DVec3, [a, b, c]: [DVec3; 3]) -> (f64, DVec3, Place)
 /// The squared distance of a point from an edge. `edge` is the vector from the edge's start to its
 /// end, and `from` the vector from its start to the point.
 #[inline(always)]
-fn to_edge(edge: [f64; 3], from: [f64; 3]) -> f64 {
+fn squared_edge_distance(edge: [f64; 3], from: [f64; 3]) -> f64 {
     let share = dot(from, edge) / dot(edge, edge);
     let away = minus(from, times(edge, least(or_zero(share), 1.0)));
     dot(away, away)

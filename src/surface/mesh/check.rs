@@ -42,7 +42,7 @@ impl<T> Defects<T> {
         self.first.get_or_insert(what);
     }
 
-    /// Adds later findings.
+    /// Adds the occurrences of a later part of the mesh.
     fn append(&mut self, later: Self) {
         self.count += later.count;
         self.first = self.first.take().or(later.first);
@@ -112,8 +112,8 @@ impl Topology {
             && self.pinched_vertices.is_none()
     }
 
-    /// Whether the mesh is closed, oriented and 2-manifold: every directed edge and its reverse
-    /// occur once.
+    /// Whether the mesh is closed, oriented and 2-manifold. Every directed edge and its reverse
+    /// then occur exactly once.
     #[must_use]
     pub fn is_closed_oriented_manifold(&self) -> bool {
         self.is_closed() && self.is_oriented() && self.is_manifold()
@@ -313,12 +313,12 @@ impl fmt::Display for CheckReport {
             "{} vertices, {} edges, {} triangles",
             self.vertices, topology.edges, self.triangles
         )?;
-        for (promise, kept) in [
+        for (property, holds) in [
             ("closed", topology.is_closed()),
             ("oriented", topology.is_oriented()),
             ("2-manifold", topology.is_manifold()),
         ] {
-            writeln!(f, "{promise}: {}", if kept { "yes" } else { "no" })?;
+            writeln!(f, "{property}: {}", if holds { "yes" } else { "no" })?;
         }
         line(f, "edges with only one triangle", &topology.boundary_edges)?;
         line(f, "edges with two triangles in the same direction", &topology.misoriented_edges)?;
@@ -326,10 +326,10 @@ impl fmt::Display for CheckReport {
         line(f, "vertices with more than one fan of triangles", &topology.pinched_vertices)?;
         line(f, "triangles with a missing vertex", &topology.out_of_range)?;
         line(f, "triangles with a repeated vertex", &topology.degenerate_triangles)?;
-        line(f, "triangles with the vertices of another one", &topology.twin_triangles)?;
+        line(f, "triangles with the same vertices as another triangle", &topology.twin_triangles)?;
         line(f, "vertices that are not finite", &self.non_finite_positions)?;
         line(f, "vertices without a triangle", &topology.unreferenced_vertices)?;
-        line(f, "vertices at the position of another one", &self.duplicate_positions)
+        line(f, "vertices at the position of another vertex", &self.duplicate_positions)
     }
 }
 

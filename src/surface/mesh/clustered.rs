@@ -10,7 +10,7 @@ use super::Mesh;
 use super::source::{Corners, MeshSource};
 
 /// Bytes of memory that [`clustered`] needs for each vertex of the mesh.
-pub const BYTES_A_VERTEX: u64 = size_of::<u32>() as u64;
+pub const BYTES_PER_VERTEX: u64 = size_of::<u32>() as u64;
 
 /// A coarser copy of `mesh`. The longest edge of its bounding box, from `lo` to `hi`, is divided
 /// into `cells` cells, and the vertices in each cell are merged into one vertex at their mean.

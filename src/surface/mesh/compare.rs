@@ -143,7 +143,7 @@ impl SearchableSurface {
     /// Distances of this surface's samples from `other`, and their signed mean.
     fn distances_to(&self, other: &Self, origin: DVec3) -> (Distances, f64) {
         let samples = (10 * self.tree.triangles().len()).clamp(SAMPLES[0], SAMPLES[1]);
-        let area = in_chunks(samples, |range| other.summary(self.spread(range, samples)));
+        let area = in_chunks(samples, |range| other.summary(self.samples(range, samples)));
         let vertices = in_chunks(self.tree.positions().len(), |range| {
             let used = range.filter(|&vertex| !self.stars.of(vertex).is_empty());
             other.summary(used.map(|vertex| self.tree.positions()[vertex]))
@@ -163,7 +163,7 @@ impl SearchableSurface {
 
     /// The samples with the numbers in `range`, out of `samples` samples of the whole surface. Each
     /// sample is in the middle of an equal share of the area.
-    fn spread(&self, range: Range<usize>, samples: usize) -> impl Iterator<Item = DVec3> {
+    fn samples(&self, range: Range<usize>, samples: usize) -> impl Iterator<Item = DVec3> {
         let total = self.area_up_to[self.tree.triangles().len() - 1];
         let mut triangle = 0;
         range.map(move |number| {
@@ -172,7 +172,7 @@ impl SearchableSurface {
                 triangle += self.area_up_to[triangle..].partition_point(|&area| area <= target);
             }
             let [a, b, c] = self.tree.corners(triangle);
-            let [u, v] = spot(number);
+            let [u, v] = sample_weights(number);
             a + (b - a) * u + (c - a) * v
         })
     }
@@ -239,7 +239,7 @@ fn unit_normal(corners: [DVec3; 3]) -> DVec3 {
 /// The position of a sample in its triangle: the weights of the second and the third corner. They
 /// come from the sequence R2 (Roberts 2018), which covers a square evenly, and are folded onto the
 /// triangle.
-fn spot(number: usize) -> [f64; 2] {
+fn sample_weights(number: usize) -> [f64; 2] {
     // The inverse of the plastic number, and its square.
     let [u, v] = [0.754_877_666_246_692_8, 0.569_840_290_998_053_3]
         .map(|step| (0.5 + number as f64 * step).fract());

@@ -2,9 +2,9 @@
 //!
 //! The volume is the sum of the signed volumes of the tetrahedra between each triangle and a vertex
 //! of its own component (the divergence theorem). The sum uses compensated rounding (Neumaier
-//! 1974), so neither the distance from the origin nor the distance between components costs
-//! precision. The genus follows from Euler's `V - E + F = 2 (components - genus)`. Sums are
-//! computed over chunks of fixed length, and added in order.
+//! 1974), so the distances from the origin and between components do not reduce the precision. The
+//! genus follows from Euler's `V - E + F = 2 (components - genus)`. Sums are computed over chunks
+//! of fixed length, and added in order.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -107,7 +107,7 @@ fn bounds(mesh: &Mesh) -> Option<[DVec3; 2]> {
 #[derive(Debug, Clone, Copy, Default)]
 struct Total {
     sum: f64,
-    lost: f64,
+    compensation: f64,
 }
 
 impl Total {
@@ -115,13 +115,13 @@ impl Total {
         let sum = self.sum + term;
         let (greater, lesser) =
             if self.sum.abs() >= term.abs() { (self.sum, term) } else { (term, self.sum) };
-        self.lost += (greater - sum) + lesser;
+        self.compensation += (greater - sum) + lesser;
         self.sum = sum;
     }
 
     fn value(self) -> f64 {
         // An infinite sum has no valid compensation.
-        if self.lost.is_finite() { self.sum + self.lost } else { self.sum }
+        if self.compensation.is_finite() { self.sum + self.compensation } else { self.sum }
     }
 }
 
@@ -151,17 +151,17 @@ impl ComponentSums {
 fn pieces(mesh: &Mesh) -> Vec<ComponentSums> {
     // Each vertex points at a lower-numbered vertex of its component; the lowest vertex points at
     // itself. Vertices beyond u32 have no entry, because no triangle uses them.
-    let mut lesser: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
+    let mut parents: Vec<u32> = (0..=u32::MAX).take(mesh.positions.len()).collect();
     for [a, b, c] in sound(mesh) {
-        let [a, b, c] = [a, b, c].map(|vertex| root(&mut lesser, vertex));
+        let [a, b, c] = [a, b, c].map(|vertex| root(&mut parents, vertex));
         let least = a.min(b).min(c);
         for vertex in [a, b, c] {
-            lesser[vertex as usize] = least;
+            parents[vertex as usize] = least;
         }
     }
     let mut pieces: BTreeMap<u32, ComponentSums> = BTreeMap::new();
     for triangle in sound(mesh) {
-        let least = root(&mut lesser, triangle[0]);
+        let least = root(&mut parents, triangle[0]);
         let [a, b, c] = triangle.map(|vertex| DVec3::from(mesh.positions[vertex as usize]));
         // Positions are relative to a vertex of the component, so that a small component far from
         // other components keeps its precision.
@@ -173,10 +173,10 @@ fn pieces(mesh: &Mesh) -> Vec<ComponentSums> {
     pieces.into_values().collect()
 }
 
-fn root(lesser: &mut [u32], mut vertex: u32) -> u32 {
-    while lesser[vertex as usize] != vertex {
-        lesser[vertex as usize] = lesser[lesser[vertex as usize] as usize];
-        vertex = lesser[vertex as usize];
+fn root(parents: &mut [u32], mut vertex: u32) -> u32 {
+    while parents[vertex as usize] != vertex {
+        parents[vertex as usize] = parents[parents[vertex as usize] as usize];
+        vertex = parents[vertex as usize];
     }
     vertex
 }

@@ -1,5 +1,5 @@
-//! Orders a mesh for renderers and codecs: triangles so that vertices are reused while they are in
-//! the cache, and vertices by their first use.
+//! Orders a mesh for renderers and codecs. Triangles are ordered so that their vertices are reused
+//! while the vertices are in the cache. Vertices are ordered by their first use.
 
 use std::borrow::Cow;
 use std::io;

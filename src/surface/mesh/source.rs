@@ -213,7 +213,7 @@ fn range(piece: usize, len: usize) -> std::ops::Range<usize> {
 fn assert_complete(mesh: &Mesh) {
     let vertices = mesh.positions.len();
     let normals = mesh.normals.as_ref().map_or(vertices, Vec::len);
-    assert_eq!(normals, vertices, "one normal a vertex");
+    assert_eq!(normals, vertices, "one normal per vertex");
     for VertexAttribute { name, components, values, kind, whole } in &mesh.attributes {
         assert_eq!(
             Some(values.len()),

@@ -118,15 +118,15 @@ impl Spool {
     pub fn in_files(normals: bool, components: Vec<usize>, files: Vec<SpoolFile>) -> Self {
         let mut spool = Self::in_memory(normals, components);
         let vertex_bytes = spool.vertex_bytes();
-        let mut kept = Vec::new();
+        let mut stored = Vec::new();
         for SpoolFile { file, mut at, blocks } in files {
-            kept.push((spool.len(), file));
+            stored.push((spool.len(), file));
             for block in blocks {
                 spool.list(block, at);
                 at += block.bytes(vertex_bytes);
             }
         }
-        spool.store = BlockStore::Files(kept);
+        spool.store = BlockStore::Files(stored);
         spool
     }
 

@@ -141,8 +141,8 @@ impl TriangleTree {
         NearTriangles { all: self, tree }
     }
 
-    /// Whether the box from `lo` to `hi` meets the bounding box of a few neighbouring triangles.
-    /// Otherwise, it meets no triangle.
+    /// Whether the box from `lo` to `hi` meets the bounding box of a group of triangles. Each group
+    /// has up to 8 neighbouring triangles. If the result is false, the box meets no triangle.
     #[must_use]
     pub fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         self.tree.meets(lo - self.origin, hi - self.origin)
@@ -280,10 +280,10 @@ mod tests {
     fn a_crossing_is_within_the_box_of_its_triangle() {
         // The distance of the second corner from the line is less than the rounding errors of
         // positions on the edges.
-        let beside =
+        let triangle =
             [DVec3::new(0.0, 1.0, -1.0), DVec3::new(0.0, 1e-17, 1e-17), DVec3::new(0.0, 2.0, 1.0)];
-        assert_eq!(crossing(beside, [0.0, 0.0]), None);
-        assert!(crossing(beside, [1.0, 0.5]).is_some());
+        assert_eq!(crossing(triangle, [0.0, 0.0]), None);
+        assert!(crossing(triangle, [1.0, 0.5]).is_some());
     }
 
     #[test]
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn the_winding_number_is_1_inside_a_mesh_with_vertices_beside_its_lines() {
+    fn the_winding_number_is_correct_if_lines_pass_close_to_vertices() {
         // An octahedron whose vertices are on the axes, except for rounding errors.
         let noise = 1e-17;
         let positions = vec![

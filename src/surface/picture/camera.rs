@@ -60,7 +60,7 @@ impl Camera {
         let (azimuth, elevation, zoom) = match view {
             Some(View::At { eye, target }) => {
                 let (eye, target) = (DVec3::from(eye), DVec3::from(target));
-                let axes = looking((eye - target).normalize_or(world.z_axis), world);
+                let axes = camera_axes((eye - target).normalize_or(world.z_axis), world);
                 return Self { eye, axes, focal, distance: eye.distance(target) };
             }
             Some(View::From { azimuth, elevation, zoom }) => (azimuth, elevation, zoom),
@@ -73,7 +73,7 @@ impl Camera {
         };
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let level = world.z_axis * azimuth.cos() + world.x_axis * azimuth.sin();
-        let axes = looking(level * elevation.cos() + world.y_axis * elevation.sin(), world);
+        let axes = camera_axes(level * elevation.cos() + world.y_axis * elevation.sin(), world);
         // Finds the nearest eye from which every corner is visible. If the eye looks at the middle
         // of the box, the picture of the box is not centred, so the line of sight is moved
         // repeatedly.
@@ -89,14 +89,14 @@ impl Camera {
             distance = corners
                 .iter()
                 .map(|&corner| {
-                    let seen = axes.transpose() * (corner - target);
-                    let reach = (seen.x.abs() / width).max(seen.y.abs());
-                    seen.z + 2.0 * focal * reach / FILLED
+                    let rotated = axes.transpose() * (corner - target);
+                    let reach = (rotated.x.abs() / width).max(rotated.y.abs());
+                    rotated.z + 2.0 * focal * reach / FILLED
                 })
                 .fold(0.0, f64::max);
             let at = |corner: &DVec3| {
-                let seen = axes.transpose() * (*corner - target);
-                DVec2::new(seen.x, seen.y) / (distance - seen.z).max(f64::MIN_POSITIVE)
+                let rotated = axes.transpose() * (*corner - target);
+                DVec2::new(rotated.x, rotated.y) / (distance - rotated.z).max(f64::MIN_POSITIVE)
             };
             let (lo, hi) = corners
                 .iter()
@@ -124,7 +124,7 @@ impl Camera {
         let distance = radius * radii;
         Self {
             eye: middle + back * distance,
-            axes: looking(back, world),
+            axes: camera_axes(back, world),
             focal: 0.5 * (distance - radius) / radius * FILLED,
             distance,
         }
@@ -133,9 +133,9 @@ impl Camera {
     /// A place in camera coordinates: `[x, y, distance]`. x / distance and y / distance are the
     /// position on the picture, to the right and up from its middle, in units of its height.
     #[inline]
-    pub(super) fn seen(&self, place: DVec3) -> [f64; 3] {
-        let seen = self.axes.transpose() * (place - self.eye);
-        [seen.x * self.focal, seen.y * self.focal, -seen.z]
+    pub(super) fn camera_coordinates(&self, place: DVec3) -> [f64; 3] {
+        let rotated = self.axes.transpose() * (place - self.eye);
+        [rotated.x * self.focal, rotated.y * self.focal, -rotated.z]
     }
 
     /// The distance of the near plane.
@@ -163,7 +163,7 @@ pub(super) fn ball(bounds: Corners) -> (DVec3, f64) {
 }
 
 /// The axes of a picture that is seen from the direction `back`.
-fn looking(back: DVec3, world: DMat3) -> DMat3 {
+fn camera_axes(back: DVec3, world: DMat3) -> DMat3 {
     let right = world.y_axis.cross(back).normalize_or(world.x_axis);
     DMat3::from_cols(right, back.cross(right), back)
 }

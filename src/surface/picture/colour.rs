@@ -170,7 +170,7 @@ impl<'a> ColourSource<'a> {
     }
 
     /// Whether the colours depend on values.
-    pub(super) fn any(&self) -> bool {
+    pub(super) fn has_values(&self) -> bool {
         !matches!(self, Self::None)
     }
 
@@ -253,29 +253,29 @@ fn number(value: f32) -> String {
 
 /// The fraction of distances within the colour range. Without this limit, a few outliers would give
 /// all other distances nearly the same colour.
-const USUAL: f64 = 0.99;
+const RANGE_SHARE: f64 = 0.99;
 /// Number of low bits of an f32 that the histogram ignores: 7 of the 23 bits of the mantissa
 /// remain.
-const COUNTED_AS_ONE: u32 = 16;
+const IGNORED_BITS: u32 = 16;
 
 /// Statistics of values, which determine their colour range.
 #[derive(Clone, Default)]
-pub(super) struct Spread {
+pub(super) struct ValueStatistics {
     extremes: Option<[f32; 2]>,
     /// A histogram of the magnitudes of distances, in steps of less than 1 %; empty for other
     /// values.
     magnitudes: Vec<u32>,
 }
 
-impl Spread {
+impl ValueStatistics {
     /// Collects the statistics of finite values.
     pub(super) fn of(values: &[f32], kind: &ColourSource<'_>) -> Self {
         let finite = || values.iter().copied().filter(|value| value.is_finite());
         let mut magnitudes = Vec::new();
         if matches!(kind, ColourSource::Distance(_)) {
-            magnitudes.resize(1 << (u32::BITS - 1 - COUNTED_AS_ONE), 0);
+            magnitudes.resize(1 << (u32::BITS - 1 - IGNORED_BITS), 0);
             finite().for_each(|value| {
-                magnitudes[(value.abs().to_bits() >> COUNTED_AS_ONE) as usize] += 1
+                magnitudes[(value.abs().to_bits() >> IGNORED_BITS) as usize] += 1
             });
         }
         let extremes =
@@ -299,7 +299,7 @@ impl Spread {
         }
         let greatest = lo.abs().max(hi.abs());
         let all: u64 = self.magnitudes.iter().map(|&count| u64::from(count)).sum();
-        let usual = (all as f64 * USUAL).ceil() as u64;
+        let usual = (all as f64 * RANGE_SHARE).ceil() as u64;
         let mut within = 0;
         let last = self.magnitudes.iter().position(|&count| {
             within += u64::from(count);
@@ -307,7 +307,7 @@ impl Spread {
         });
         // If almost all distances are zero, the greatest distance determines the range.
         let bound = match last {
-            Some(last @ 1..) => f32::from_bits((last as u32 + 1) << COUNTED_AS_ONE).min(greatest),
+            Some(last @ 1..) => f32::from_bits((last as u32 + 1) << IGNORED_BITS).min(greatest),
             _ => greatest,
         };
         (Some([-bound, bound]), bound < greatest)

@@ -39,7 +39,8 @@ impl Picture {
         let values = ColourSource::new(&self.colour, mesh)?;
         let [width, height] = self.pixels();
         let fine = mesh.vertex_count() > COARSENED * (width * height) as u64;
-        let coarsened = self.effort == Effort::Draft && fine && !values.any() && !self.wireframe;
+        let coarsened =
+            self.effort == Effort::Draft && fine && !values.has_values() && !self.wireframe;
         let coarser = if coarsened { mesh.coarser()? } else { None };
         let mesh = coarser.as_deref().unwrap_or(mesh);
         let (memory, budget) = self.memory_for(mesh)?;
@@ -70,9 +71,9 @@ impl Picture {
             + AtomicSet::bytes(triangles);
         let whole = vertices * VERTEX_BYTES + triangles * TRIANGLE_BYTES;
         // All vertices and triangles of a mesh may be visible.
-        let all_seen = vertices * VisibleTriangles::VERTEX_BYTES
+        let all_visible = vertices * VisibleTriangles::VERTEX_BYTES
             + triangles * VisibleTriangles::TRIANGLE_BYTES;
-        if picture + whole + all_seen <= allowed {
+        if picture + whole + all_visible <= allowed {
             return Ok((MeshMemory::Whole, Budget::new(picture + whole, allowed)));
         }
         let batch = (allowed.saturating_sub(picture) / 2).max(LEAST_BATCH_BYTES);

@@ -87,15 +87,17 @@ pub(super) fn fill(
         let strip = raster.height.div_ceil(STRIPS * rayon::current_num_threads()).max(LEAST_ROWS);
         (0..height).into_par_iter().step_by(strip).for_each(|top| {
             let rows = top..height.min(top + strip as i32);
-            let held = tasks.iter().map(|task| &task[view]).enumerate();
-            for (task, held) in held.filter(|(_, held)| held.meets(&rows)) {
-                for n in held.members().map(|n| task * TASK + n) {
+            let pending = tasks.iter().map(|task| &task[view]).enumerate();
+            for (task, pending) in pending.filter(|(_, pending)| pending.meets(&rows)) {
+                for n in pending.members().map(|n| task * TASK + n) {
                     let triangle = &batch.triangles[n];
-                    let seen = || {
-                        triangle.map(|corner| camera.seen(batch.places[batch.index(corner)].into()))
+                    let coordinates = || {
+                        triangle.map(|corner| {
+                            camera.camera_coordinates(batch.places[batch.index(corner)].into())
+                        })
                     };
                     let corners = of(triangle, batch, corners, view);
-                    raster.draw(&rows, batch.first + n as u32, corners, seen);
+                    raster.draw(&rows, batch.first + n as u32, corners, coordinates);
                 }
             }
         });
@@ -114,20 +116,20 @@ fn draw_small(
     for (word, triangles) in triangles.chunks(WORD).enumerate() {
         // Whether a small triangle contains a sample is almost random, so a branch would often be
         // mispredicted. This loop therefore has no branches.
-        let mut may_hold = [0; VIEWS];
+        let mut may_contain = [0; VIEWS];
         for (n, &[a, b, c]) in triangles.iter().enumerate() {
             let halves = |corner: u32| corners.halves[batch.index(corner)];
             let [eye, sun] = may_show([halves(a), halves(b), halves(c)]);
-            may_hold[0] |= eye << n;
-            may_hold[1] |= sun << n;
+            may_contain[0] |= eye << n;
+            may_contain[1] |= sun << n;
         }
         for (view, raster) in rasters.iter().enumerate() {
             // Whether the only sample in a triangle's box is inside the triangle is almost random,
             // too, so this loop has no branches either.
             let mut drawn = 0;
-            for n in ones(may_hold[view]) {
+            for n in ones(may_contain[view]) {
                 let corners = of(&triangles[n], batch, corners, view);
-                let [one, inside] = raster.holds_one(corners);
+                let [one, inside] = raster.contains_one_sample(corners);
                 drawn |= u64::from(!one | inside) << n;
             }
             for n in ones(drawn) {
@@ -166,10 +168,10 @@ mod tests {
     use crate::surface::picture::shape::Shape;
 
     /// The visible triangle, its inverse distance and the path length in the fluid at each sample.
-    fn seen(raster: &Raster) -> Vec<Option<[u32; 3]>> {
+    fn visible_samples(raster: &Raster) -> Vec<Option<[u32; 3]>> {
         let samples = (0..raster.width * raster.height).map(|n| raster.sample(n));
         samples
-            .map(|seen| seen.map(|s| [s.triangle, s.near.to_bits(), s.through.to_bits()]))
+            .map(|sample| sample.map(|s| [s.triangle, s.near.to_bits(), s.through.to_bits()]))
             .collect()
     }
 
@@ -211,7 +213,8 @@ mod tests {
                     for (view, raster) in expected.iter().enumerate() {
                         let places = || {
                             triangle.map(|corner| {
-                                cameras[view].seen(batch.places[corner as usize].into())
+                                cameras[view]
+                                    .camera_coordinates(batch.places[corner as usize].into())
                             })
                         };
                         raster.draw(
@@ -226,8 +229,11 @@ mod tests {
             })
             .unwrap();
         for view in 0..VIEWS {
-            assert!(seen(&found[view]) == seen(&expected[view]), "view {view}");
-            assert!(seen(&found[view]).iter().flatten().count() > 3000);
+            assert!(
+                visible_samples(&found[view]) == visible_samples(&expected[view]),
+                "view {view}"
+            );
+            assert!(visible_samples(&found[view]).iter().flatten().count() > 3000);
         }
     }
 }

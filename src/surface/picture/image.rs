@@ -13,11 +13,11 @@ use embedded_graphics::prelude::Drawable;
 use embedded_graphics::text::{Alignment, Baseline, Text, TextStyleBuilder};
 
 /// Images with more rows than this have labels in a larger font.
-const HIGH: usize = 540;
-const INK: Rgb888 = Rgb888::new(28, 32, 36);
+const LARGE_FONT_ROWS: usize = 540;
+const TEXT_COLOUR: Rgb888 = Rgb888::new(28, 32, 36);
 /// Gap between images of a sheet, in pixels.
 const GAP: usize = 4;
-const PAPER: u8 = 255;
+const BACKGROUND: u8 = 255;
 /// The keyword of the text that names the source of a picture.
 const SOURCE: &str = "meniscus";
 
@@ -63,16 +63,20 @@ impl Image {
     /// Writes text. Depending on `alignment`, `[x, y]` is the upper left corner, the middle of the
     /// upper edge, or the upper right corner of the text.
     pub(super) fn text(&mut self, text: &str, [x, y]: [i32; 2], alignment: Alignment) {
-        let font = if self.height > HIGH { &FONT_10X20 } else { &FONT_6X10 };
+        let font = if self.height > LARGE_FONT_ROWS { &FONT_10X20 } else { &FONT_6X10 };
         let layout = TextStyleBuilder::new().alignment(alignment).baseline(Baseline::Top).build();
-        let text =
-            Text::with_text_style(text, Point::new(x, y), MonoTextStyle::new(font, INK), layout);
+        let text = Text::with_text_style(
+            text,
+            Point::new(x, y),
+            MonoTextStyle::new(font, TEXT_COLOUR),
+            layout,
+        );
         let Ok(_) = text.draw(self);
     }
 
     /// The height of a line of text.
     pub(super) fn line(&self) -> i32 {
-        if self.height > HIGH { 20 } else { 10 }
+        if self.height > LARGE_FONT_ROWS { 20 } else { 10 }
     }
 
     pub(super) fn set(&mut self, x: usize, y: usize, colour: [u8; 3]) {
@@ -93,7 +97,7 @@ impl Image {
         let rows = images.len().div_ceil(columns);
         let (full_width, full_height) =
             (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP);
-        let mut rgb = vec![PAPER; 3 * full_width * full_height];
+        let mut rgb = vec![BACKGROUND; 3 * full_width * full_height];
         for (n, image) in images.iter().enumerate() {
             assert_eq!((image.width, image.height), (width, height), "images of equal size");
             let (left, top) = (n % columns * (width + GAP), n / columns * (height + GAP));

@@ -10,9 +10,9 @@ use rayon::prelude::*;
 pub(super) const SUN: Vec3 = Vec3::new(-0.42, 0.78, 0.46);
 const SUNLIGHT: Vec3 = Vec3::new(1.05, 1.0, 0.92);
 /// Diffuse light from the sky overhead.
-const ABOVE: Vec3 = Vec3::new(0.62, 0.70, 0.80);
+const SKY_DIFFUSE: Vec3 = Vec3::new(0.62, 0.70, 0.80);
 /// Diffuse light from the ground.
-const BELOW: Vec3 = Vec3::new(0.34, 0.33, 0.31);
+const GROUND_DIFFUSE: Vec3 = Vec3::new(0.34, 0.33, 0.31);
 /// The radiance of the sky at the horizon, in reflections.
 const HORIZON: Vec3 = Vec3::new(0.92, 0.95, 0.97);
 /// The radiance of the sky overhead, in reflections.
@@ -23,20 +23,20 @@ pub(super) const GROUND: Vec3 = Vec3::new(0.50, 0.50, 0.49);
 const BACKDROP: [Vec3; 3] =
     [Vec3::new(0.44, 0.51, 0.58), Vec3::new(0.78, 0.81, 0.83), Vec3::new(0.44, 0.45, 0.46)];
 /// Colour of wires.
-const INK: Vec3 = Vec3::new(0.01, 0.012, 0.015);
+const WIRE_COLOUR: Vec3 = Vec3::new(0.01, 0.012, 0.015);
 /// The reflectance of water at normal incidence (Schlick 1994, index of refraction 1.33).
-const MIRRORED: f32 = 0.02;
+const NORMAL_REFLECTANCE: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
 /// Absorption of light by water, per radius of the scene.
-const TAKEN: Vec3 = Vec3::new(9.0, 2.6, 1.1);
+const ABSORPTION: Vec3 = Vec3::new(9.0, 2.6, 1.1);
 /// Radiance that deep water adds by scattering.
-const GIVEN: Vec3 = Vec3::new(0.004, 0.105, 0.26);
+const SCATTERED: Vec3 = Vec3::new(0.004, 0.105, 0.26);
 /// The rate at which the added radiance increases with the path length, per radius of the scene.
-const CLOUDED: f32 = 6.0;
+const SCATTERING_RATE: f32 = 6.0;
 /// Diffuse reflection of water, for a film and for deep water. Without it, drops, thin sheets and
 /// the shape of the water would be invisible.
-const MILK: [f32; 2] = [0.34, 0.42];
-const MILK_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
+const DIFFUSE: [f32; 2] = [0.34, 0.42];
+const DIFFUSE_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 
 /// A place on a surface, as seen along a line of sight.
 #[derive(Debug, Clone, Copy)]
@@ -68,55 +68,59 @@ fn sky(towards: Vec3) -> Vec3 {
     let sky = if up >= 0.0 {
         HORIZON.lerp(ZENITH, up.sqrt())
     } else {
-        HORIZON.lerp(BELOW, (-up * 3.0).min(1.0))
+        HORIZON.lerp(GROUND_DIFFUSE, (-up * 3.0).min(1.0))
     };
     let near = towards.dot(SUN.normalize()).max(0.0);
     sky + SUNLIGHT * (1.6 * near.powi(180) + 0.25 * near.powi(12))
 }
 
 /// The light that falls on a diffuse surface from the sky, the ground and the sun.
-fn fallen(normal: Vec3, lit: f32) -> Vec3 {
-    let ambient = BELOW.lerp(ABOVE, 0.5 + 0.5 * normal.y);
+fn diffuse_light(normal: Vec3, lit: f32) -> Vec3 {
+    let ambient = GROUND_DIFFUSE.lerp(SKY_DIFFUSE, 0.5 + 0.5 * normal.y);
     ambient * 0.75 + SUNLIGHT * (0.65 * lit * normal.dot(SUN.normalize()).max(0.0))
 }
 
 /// The radiance of flat ground; `lit` is the fraction of the sunlight that reaches it.
 pub(super) fn ground(lit: f32) -> Vec3 {
-    GROUND * fallen(Vec3::Y, lit)
+    GROUND * diffuse_light(Vec3::Y, lit)
 }
 
 /// The radiance of a surface of one colour.
-pub(super) fn solid(colour: Vec3, seen: ShadedPoint) -> Vec3 {
-    let half = (SUN.normalize() - seen.towards).normalize();
-    let gloss = seen.normal.dot(half).max(0.0).powi(60);
-    colour * fallen(seen.normal, seen.lit) + SUNLIGHT * (0.12 * gloss * seen.lit)
+pub(super) fn solid(colour: Vec3, point: ShadedPoint) -> Vec3 {
+    let half = (SUN.normalize() - point.towards).normalize();
+    let gloss = point.normal.dot(half).max(0.0).powi(60);
+    colour * diffuse_light(point.normal, point.lit) + SUNLIGHT * (0.12 * gloss * point.lit)
 }
 
 /// The radiance of water. `behind` returns the radiance behind the water in a direction; `exp` is
 /// the exponential function.
 pub(super) fn water(
-    seen: ShadedPoint,
+    point: ShadedPoint,
     exp: impl Fn(f32) -> f32,
     behind: impl Fn(Vec3) -> Vec3,
 ) -> Vec3 {
-    let ShadedPoint { towards, normal, through, lit } = seen;
+    let ShadedPoint { towards, normal, through, lit } = point;
     let facing = (-towards.dot(normal)).clamp(0.0, 1.0);
-    let mirrored = MIRRORED + (1.0 - MIRRORED) * (1.0 - facing).powi(5);
-    let mirror = sky(towards + 2.0 * facing * normal);
+    let reflectance = NORMAL_REFLECTANCE + (1.0 - NORMAL_REFLECTANCE) * (1.0 - facing).powi(5);
+    let reflected = sky(towards + 2.0 * facing * normal);
     // The line of sight is refracted by Snell's law where it enters the water, and not again where
     // it leaves the water.
     let along = towards + facing * normal;
     let bent = towards.lerp((towards - along * (1.0 - REFRACTION)).normalize(), 0.7).normalize();
-    let left = Vec3::new(exp(-TAKEN.x * through), exp(-TAKEN.y * through), exp(-TAKEN.z * through));
-    let cloud = 1.0 - exp(-CLOUDED * through);
-    let light = fallen(normal, lit);
-    let inside = behind(bent) * left + GIVEN * cloud * (0.35 + 0.65 * light);
-    let [film, deep] = MILK;
-    let milk = film + (deep - film) * cloud;
-    let body = inside.lerp(MILK_COLOUR * light, milk);
+    let transmitted = Vec3::new(
+        exp(-ABSORPTION.x * through),
+        exp(-ABSORPTION.y * through),
+        exp(-ABSORPTION.z * through),
+    );
+    let scattering = 1.0 - exp(-SCATTERING_RATE * through);
+    let light = diffuse_light(normal, lit);
+    let inside = behind(bent) * transmitted + SCATTERED * scattering * (0.35 + 0.65 * light);
+    let [film, deep] = DIFFUSE;
+    let diffuse = film + (deep - film) * scattering;
+    let body = inside.lerp(DIFFUSE_COLOUR * light, diffuse);
     let half = (SUN.normalize() - towards).normalize();
     let glint = normal.dot(half).max(0.0).powi(240);
-    body.lerp(mirror, mirrored) + SUNLIGHT * (1.4 * glint * lit)
+    body.lerp(reflected, reflectance) + SUNLIGHT * (1.4 * glint * lit)
 }
 
 /// A fast approximation of the exponential of a non-positive number, with an error below 0.001,
@@ -134,7 +138,7 @@ const EXPONENT_BIAS: f32 = (f32::MAX_EXP - 1) as f32;
 
 /// The radiance of a surface, of which the fraction `share` is covered by a dark wire.
 pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
-    surface.lerp(INK, share)
+    surface.lerp(WIRE_COLOUR, share)
 }
 
 /// The byte of a channel in sRGB, after compressing values that are too bright.

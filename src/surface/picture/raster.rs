@@ -4,8 +4,8 @@
 //! Corners are rounded to 1 / 256 of the distance between samples, and integer arithmetic decides
 //! whether a sample is inside a triangle. A sample on an edge belongs to the triangle below or to
 //! the right. A closed surface therefore has no cracks, and every line of sight leaves it as often
-//! as it enters. A sample holds an integer sum and a maximum over triangles, which do not depend on
-//! the triangles' order. Therefore, any thread may draw small triangles. Each thread draws the
+//! as it enters. A sample stores an integer sum and a maximum over triangles, which do not depend
+//! on the triangles' order. Therefore, any thread may draw small triangles. Each thread draws the
 //! parts of large triangles in its own rows.
 
 use std::ops::Range;
@@ -25,11 +25,11 @@ const STEP_BITS: u32 = 8;
 const FAR: i32 = 1 << 28;
 /// Path lengths are stored in steps. The distance from the eye to the farthest place has this
 /// number of steps.
-const WAY_STEPS: f64 = (1 << 26) as f64;
+const PATH_STEPS: f64 = (1 << 26) as f64;
 
 /// Maximum number of samples in the box of a triangle that any thread may draw. Larger triangles
 /// are drawn faster without concurrent writes.
-const FEW: i64 = 4;
+const MOST_SMALL_SAMPLES: i64 = 4;
 
 /// A corner of a triangle on the picture.
 #[derive(Debug, Clone, Copy, Default)]
@@ -37,7 +37,8 @@ pub(super) struct Corner {
     /// Steps to the right and down from the middle of the first sample.
     at: [i32; 2],
     /// The eye's distance from the target, divided by the corner's distance in [camera
-    /// coordinates](Camera::seen); 0 if the corner is behind the eye, or too far to the side.
+    /// coordinates](Camera::camera_coordinates); 0 if the corner is behind the eye, or too far to
+    /// the side.
     near: f32,
 }
 
@@ -47,7 +48,7 @@ pub(super) struct RasterSample {
     /// The triangle's number.
     pub(super) triangle: u32,
     /// The eye's distance from the target, divided by the surface's distance in [camera
-    /// coordinates](Camera::seen).
+    /// coordinates](Camera::camera_coordinates).
     pub(super) near: f32,
     /// The path length through the fluid, projected onto the viewing axis, divided by the eye's
     /// distance from the target.
@@ -64,15 +65,15 @@ pub(super) struct Raster {
     /// of any size.
     unit: f64,
     /// The distance of the near plane.
-    before: f64,
-    way_steps: f32,
+    near_plane: f64,
+    path_steps: f32,
 }
 
 impl Raster {
     /// An empty raster, for an eye that sees up to a distance of about `farthest`.
     pub(super) fn new(width: usize, height: usize, camera: &Camera, farthest: f64) -> Self {
         let unit = camera.distance();
-        let way_steps = (WAY_STEPS * unit / farthest.max(unit)) as f32;
+        let path_steps = (PATH_STEPS * unit / farthest.max(unit)) as f32;
         let samples = width * height;
         Self {
             width,
@@ -80,8 +81,8 @@ impl Raster {
             nearest: zeroed_in_huge_pages(samples),
             through: zeroed_in_huge_pages(samples),
             unit,
-            before: camera.nearest(),
-            way_steps,
+            near_plane: camera.nearest(),
+            path_steps,
         }
     }
 
@@ -96,11 +97,11 @@ impl Raster {
         (nearest > 0).then(|| RasterSample {
             triangle: !(nearest as u32),
             near: f32::from_bits((nearest >> 32) as u32),
-            through: self.through[n].load(Ordering::Relaxed) as f32 / self.way_steps,
+            through: self.through[n].load(Ordering::Relaxed) as f32 / self.path_steps,
         })
     }
 
-    /// The corner at a place in [camera coordinates](Camera::seen).
+    /// The corner at a place in [camera coordinates](Camera::camera_coordinates).
     #[inline(always)]
     pub(super) fn corner(&self, [x, y, distance]: [f64; 3]) -> Corner {
         let near = 1.0 / distance;
@@ -111,7 +112,7 @@ impl Raster {
             (self.height as f64 - 1.0) / 2.0 * steps - y * scale,
         ];
         let far = f64::from(FAR);
-        if !(distance >= self.before && right.abs() < far && down.abs() < far) {
+        if !(distance >= self.near_plane && right.abs() < far && down.abs() < far) {
             return Corner::default();
         }
         // The sum is positive, so the conversion, which truncates, rounds it down.
@@ -136,9 +137,9 @@ impl Raster {
     /// For a triangle whose bounding box contains a sample: whether the box contains only one
     /// sample, and whether that sample is inside the triangle.
     #[inline(always)]
-    pub(super) fn holds_one(&self, corners: [Corner; 3]) -> [bool; 2] {
+    pub(super) fn contains_one_sample(&self, corners: [Corner; 3]) -> [bool; 2] {
         let [[left, right], [top, bottom]] = self.around(corners);
-        let one = (left == right) & (top == bottom) & placed(corners);
+        let one = (left == right) & (top == bottom) & are_projected(corners);
         let [a, b, c] = corners;
         let turn = area(corners).signum();
         let inside = |p: Corner, q: Corner| turn_of([left, top], p, q, turn) >= 0;
@@ -159,39 +160,40 @@ impl Raster {
     /// behind the eye or too far to the side.
     #[inline(always)]
     pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
-        if !placed(corners) {
+        if !are_projected(corners) {
             return Some(0..self.height as i32);
         }
         let around @ [[left, right], [top, bottom]] = self.around(corners);
         // The sides of the box are less than 2^22, so their product fits into an i64.
-        if i64::from(right + 1 - left) * i64::from(bottom + 1 - top) > FEW {
+        if i64::from(right + 1 - left) * i64::from(bottom + 1 - top) > MOST_SMALL_SAMPLES {
             return Some(top..bottom + 1);
         }
-        self.fill(around, number, corners, |sample, key, way| {
+        self.fill(around, number, corners, |sample, key, path| {
             // Many triangles are hidden. For these, reading first avoids the slower `fetch_max`.
             if self.nearest[sample].load(Ordering::Relaxed) < key {
                 self.nearest[sample].fetch_max(key, Ordering::Relaxed);
             }
-            self.through[sample].fetch_add(way, Ordering::Relaxed);
+            self.through[sample].fetch_add(path, Ordering::Relaxed);
         });
         None
     }
 
-    /// Draws the part of a triangle in `rows`, in which no other thread may draw. `seen` returns
-    /// the camera coordinates of the corners; it is called only if the triangle must be clipped.
+    /// Draws the part of a triangle in `rows`, in which no other thread may draw. `coordinates`
+    /// returns the camera coordinates of the corners; it is called only if the triangle must be
+    /// clipped.
     pub(super) fn draw(
         &self,
         rows: &Range<i32>,
         number: u32,
         corners: [Corner; 3],
-        seen: impl FnOnce() -> [[f64; 3]; 3],
+        coordinates: impl FnOnce() -> [[f64; 3]; 3],
     ) {
-        if placed(corners) {
+        if are_projected(corners) {
             self.fill_rows(rows, number, corners);
             return;
         }
         // A clipped triangle is convex, so it can be drawn as a fan.
-        let cut = self.cut(seen());
+        let cut = self.cut(coordinates());
         let corners: Vec<Corner> = cut.iter().map(|&corner| self.corner(corner)).collect();
         if let [first, rest @ ..] = &corners[..]
             && corners.iter().all(|corner| corner.near > 0.0)
@@ -208,9 +210,9 @@ impl Raster {
             return Vec::new();
         }
         let side = f64::from(FAR / (4 * STEPS)) / self.width.max(self.height) as f64;
-        let before = self.before * (1.0 + 1e-6);
+        let near_plane = self.near_plane * (1.0 + 1e-6);
         let planes: [&dyn Fn([f64; 3]) -> f64; 5] = [
-            &|[_, _, distance]| distance - before,
+            &|[_, _, distance]| distance - near_plane,
             &|[x, _, distance]| side * distance - x,
             &|[x, _, distance]| side * distance + x,
             &|[_, y, distance]| side * distance - y,
@@ -218,27 +220,28 @@ impl Raster {
         ];
         let mut polygon = corners.to_vec();
         for plane in planes {
-            let mut kept = Vec::with_capacity(polygon.len() + 1);
+            let mut clipped = Vec::with_capacity(polygon.len() + 1);
             for (n, &corner) in polygon.iter().enumerate() {
                 let last = polygon[n.checked_sub(1).unwrap_or(polygon.len() - 1)];
                 let [from, to] = [plane(last), plane(corner)];
                 if (from >= 0.0) != (to >= 0.0) {
-                    // The place of the cut is computed from the inner to the outer end of the edge
-                    // in both triangles of the edge, so that both are clipped at the same place.
+                    // For both triangles of the edge, the place of the cut is computed from the
+                    // edge's inner end to its outer end, so that both triangles are clipped at
+                    // exactly the same place.
                     let ([inner, outer], share) = if from >= 0.0 {
                         ([last, corner], from / (from - to))
                     } else {
                         ([corner, last], to / (to - from))
                     };
-                    kept.push(std::array::from_fn(|axis| {
+                    clipped.push(std::array::from_fn(|axis| {
                         inner[axis] + share * (outer[axis] - inner[axis])
                     }));
                 }
                 if to >= 0.0 {
-                    kept.push(corner);
+                    clipped.push(corner);
                 }
             }
-            polygon = kept;
+            polygon = clipped;
         }
         polygon
     }
@@ -250,12 +253,12 @@ impl Raster {
         }
         let [left, right] = samples(corners, 0, &(0..self.width as i32));
         // A separate read and write are much faster than an atomic addition.
-        self.fill([[left, right], [top, bottom]], number, corners, |sample, key, way| {
+        self.fill([[left, right], [top, bottom]], number, corners, |sample, key, path| {
             let (nearest, through) = (&self.nearest[sample], &self.through[sample]);
             if nearest.load(Ordering::Relaxed) < key {
                 nearest.store(key, Ordering::Relaxed);
             }
-            through.store(through.load(Ordering::Relaxed).wrapping_add(way), Ordering::Relaxed);
+            through.store(through.load(Ordering::Relaxed).wrapping_add(path), Ordering::Relaxed);
         });
     }
 
@@ -302,8 +305,8 @@ impl Raster {
                     // Among equally near triangles, the first one wins.
                     let key = u64::from(near.to_bits()) << 32 | u64::from(!number);
                     // Intermediate sums may overflow; the final sum does not.
-                    let way = (leaves / near * self.way_steps) as i64 as i32;
-                    put(row + x as usize, key, way);
+                    let path = (leaves / near * self.path_steps) as i64 as i32;
+                    put(row + x as usize, key, path);
                 } else if entered {
                     break;
                 }
@@ -352,7 +355,7 @@ fn halves(at: i32, samples: i32) -> u16 {
 
 /// Whether no corner is behind the eye or too far to the side.
 #[inline(always)]
-fn placed([a, b, c]: [Corner; 3]) -> bool {
+fn are_projected([a, b, c]: [Corner; 3]) -> bool {
     a.near.min(b.near).min(c.near) > 0.0
 }
 
@@ -366,7 +369,7 @@ fn samples(corners: [Corner; 3], axis: usize, of: &Range<i32>) -> [i32; 2] {
 }
 
 /// Minimum number of corners per task.
-const LEAST: usize = 1 << 9;
+const CORNERS_PER_TASK: usize = 1 << 9;
 
 /// A raster, and the camera whose view is drawn on it.
 #[derive(Clone, Copy)]
@@ -380,7 +383,7 @@ impl Canvas<'_> {
     /// the lower 16 bits.
     #[inline(always)]
     fn corner(&self, place: [f64; 3]) -> (Corner, u64) {
-        let corner = self.raster.corner(self.camera.seen(place.into()));
+        let corner = self.raster.corner(self.camera.camera_coordinates(place.into()));
         let [column, row] = self.raster.halves(corner);
         (corner, u64::from(column) << 16 | u64::from(row))
     }
@@ -415,7 +418,7 @@ impl ProjectedCorners {
         };
         places
             .par_iter()
-            .with_min_len(LEAST)
+            .with_min_len(CORNERS_PER_TASK)
             .map(of)
             .unzip_into_vecs(&mut self.at, &mut self.halves);
     }

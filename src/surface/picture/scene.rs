@@ -22,7 +22,8 @@ const SMALL: usize = 400;
 /// The floor fades into the backdrop between these distances from the middle, in radii of the
 /// scene.
 const FLOOR: [f32; 2] = [2.0, 7.0];
-/// Samples of a pixel are lit as one if their distances differ by at most this fraction.
+/// If the distances of a pixel's samples differ by at most this fraction, the samples are averaged
+/// before the light is computed.
 const ONE_DISTANCE: f32 = 0.01;
 /// Width of wires in pixels.
 const WIRE: f32 = 1.2;
@@ -52,7 +53,7 @@ pub(super) struct Scene<'a> {
     camera: &'a Camera,
     raster: &'a Raster,
     /// Number of samples along the edge of a pixel.
-    finer: usize,
+    edge_samples: usize,
     visible: &'a VisibleTriangles,
     sun: &'a Sunlight,
     world: DMat3,
@@ -65,7 +66,7 @@ pub(super) struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// Prepares a picture from its raster and the sun's raster.
+    /// Prepares a picture from its raster, its visible triangles and the sunlight.
     pub(super) fn new(
         picture: &'a Picture,
         [lo, hi]: Corners,
@@ -79,19 +80,31 @@ impl<'a> Scene<'a> {
         let [lo, hi] = [lo, hi].map(|corner| world.y_axis.dot(corner.into()));
         let floor = picture.ground.then(|| lo.min(hi));
         let radii = (camera.distance() / radius) as f32;
-        let finer = raster.height / picture.pixels()[1];
-        Self { picture, camera, raster, finer, visible, sun, world, middle, radii, floor, palette }
+        let edge_samples = raster.height / picture.pixels()[1];
+        Self {
+            picture,
+            camera,
+            raster,
+            edge_samples,
+            visible,
+            sun,
+            world,
+            middle,
+            radii,
+            floor,
+            palette,
+        }
     }
 
     /// The radiance of a pixel: the mean over its samples.
     pub(super) fn pixel(&self, x: usize, y: usize) -> Vec3 {
-        let finer = self.finer;
+        let edge_samples = self.edge_samples;
         let of_sample = |i: usize| {
-            let [x, y] = [finer * x + i % finer, finer * y + i / finer];
+            let [x, y] = [edge_samples * x + i % edge_samples, edge_samples * y + i / edge_samples];
             (self.raster.sample(y * self.raster.width + x), self.at(x as f32 + 0.5, y as f32 + 0.5))
         };
         let mut all = [(None, Vec2::ZERO); FINEST * FINEST];
-        let samples = &mut all[..finer * finer];
+        let samples = &mut all[..edge_samples * edge_samples];
         samples.iter_mut().enumerate().for_each(|(i, sample)| *sample = of_sample(i));
         let near =
             |&(sample, _): &(Option<RasterSample>, Vec2)| sample.map_or(0.0, |sample| sample.near);
@@ -111,8 +124,9 @@ impl<'a> Scene<'a> {
         if one {
             let sum = surfaces
                 .fold(PixelSurface::default(), |sum, (surface, ..)| sum.plus(&surface, share));
-            let half = 0.5 * finer as f32;
-            let middle = self.at((finer * x) as f32 + half, (finer * y) as f32 + half);
+            let half = 0.5 * edge_samples as f32;
+            let middle =
+                self.at((edge_samples * x) as f32 + half, (edge_samples * y) as f32 + half);
             return self.light_exactly(&sum, middle);
         }
         let lights = surfaces.map(|(surface, sample, towards)| match sample {
@@ -127,18 +141,20 @@ impl<'a> Scene<'a> {
     /// The direction towards a point of the picture, as components right, up and towards the
     /// viewer.
     fn direction(&self, towards: Vec2) -> Vec3 {
-        self.shown(towards).normalize()
+        self.unscaled_direction(towards).normalize()
     }
 
-    fn shown(&self, towards: Vec2) -> Vec3 {
+    /// Like [`direction`](Self::direction), but with a component of 1 along the viewing axis
+    /// instead of unit length.
+    fn unscaled_direction(&self, towards: Vec2) -> Vec3 {
         (self.world.transpose() * self.camera.towards(towards.x.into(), towards.y.into())).as_vec3()
     }
 
     /// The visible surface at a sample.
     fn surface(&self, sample: RasterSample, towards: Vec2) -> PixelSurface {
-        let spot = self.visible.spot(sample.triangle, towards);
-        let rows = (self.raster.height / self.finer) as f32;
-        let inked = self.picture.wireframe.then(|| {
+        let point = self.visible.point(sample.triangle, towards);
+        let rows = (self.raster.height / self.edge_samples) as f32;
+        let wire_share = self.picture.wireframe.then(|| {
             let Edges { nearest, radius } = self.visible.edges(sample.triangle, towards);
             let [nearest, radius] = [nearest, radius].map(|heights| heights * rows);
             // Wires fade on triangles that are smaller than the width of the wires.
@@ -146,10 +162,10 @@ impl<'a> Scene<'a> {
         });
         PixelSurface {
             near: sample.near,
-            normal: spot.normal,
-            value: spot.value,
+            normal: point.normal,
+            value: point.value,
             through: sample.through,
-            inked: inked.unwrap_or(0.0),
+            wire_share: wire_share.unwrap_or(0.0),
         }
     }
 
@@ -163,8 +179,9 @@ impl<'a> Scene<'a> {
 
     /// The radiance of a pixel without the fluid.
     pub(super) fn empty(&self, x: usize, y: usize) -> Vec3 {
-        let half = 0.5 * self.finer as f32;
-        let middle = self.at((self.finer * x) as f32 + half, (self.finer * y) as f32 + half);
+        let half = 0.5 * self.edge_samples as f32;
+        let middle =
+            self.at((self.edge_samples * x) as f32 + half, (self.edge_samples * y) as f32 + half);
         self.behind(self.camera.eye, self.direction(middle))
     }
 
@@ -190,21 +207,21 @@ impl<'a> Scene<'a> {
         behind: impl Fn(DVec3, Vec3) -> Vec3,
     ) -> Vec3 {
         let line = self.camera.towards(towards.x.into(), towards.y.into());
-        let shown = (self.world.transpose() * line).as_vec3();
-        let direction = shown.normalize();
+        let unscaled = (self.world.transpose() * line).as_vec3();
+        let direction = unscaled.normalize();
         let place = self.camera.eye + line * (self.camera.distance() / f64::from(surface.near));
         let normal =
             (self.world.transpose() * surface.normal.as_dvec3()).as_vec3().normalize_or(-direction);
         let normal = if normal.dot(direction) > 0.0 { -normal } else { normal };
-        let through = (surface.through * shown.length() * self.radii).max(0.0);
-        let seen =
-            ShadedPoint { towards: direction, normal, through, lit: self.sun.within(place, exp) };
+        let through = (surface.through * unscaled.length() * self.radii).max(0.0);
+        let point =
+            ShadedPoint { towards: direction, normal, through, lit: self.sun.in_fluid(place, exp) };
         let light = match (&self.picture.colour, &self.palette) {
-            (Colour::Solid(colour), _) => solid(linear(*colour), seen),
-            (_, Some(palette)) => solid(palette.of(surface.value), seen),
-            _ => water(seen, exp, |bent| behind(place, bent)),
+            (Colour::Solid(colour), _) => solid(linear(*colour), point),
+            (_, Some(palette)) => solid(palette.of(surface.value), point),
+            _ => water(point, exp, |bent| behind(place, bent)),
         };
-        if surface.inked > 0.0 { wire(light, surface.inked) } else { light }
+        if surface.wire_share > 0.0 { wire(light, surface.wire_share) } else { light }
     }
 
     /// The radiance behind the fluid, which comes from the floor or the backdrop.
@@ -221,7 +238,7 @@ impl<'a> Scene<'a> {
         if share >= 1.0 {
             return backdrop(direction);
         }
-        let floor = ground(self.sun.below(place));
+        let floor = ground(self.sun.on_ground(place));
         if share > 0.0 {
             floor.lerp(backdrop(direction), share * share * (3.0 - 2.0 * share))
         } else {
@@ -234,14 +251,14 @@ impl<'a> Scene<'a> {
 #[derive(Debug, Clone, Copy, Default)]
 struct PixelSurface {
     /// The eye's distance from the target, divided by the surface's distance in [camera
-    /// coordinates](Camera::seen).
+    /// coordinates](Camera::camera_coordinates).
     near: f32,
     /// The normal, which does not have unit length.
     normal: Vec3,
     value: f32,
     through: f32,
     /// The fraction of the surface that wires cover.
-    inked: f32,
+    wire_share: f32,
 }
 
 impl PixelSurface {
@@ -251,7 +268,7 @@ impl PixelSurface {
             normal: self.normal + other.normal,
             value: self.value + share * other.value,
             through: self.through + share * other.through,
-            inked: self.inked + share * other.inked,
+            wire_share: self.wire_share + share * other.wire_share,
         }
     }
 }

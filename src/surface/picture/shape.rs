@@ -12,7 +12,7 @@ use crate::system::memory::zeroed_in_huge_pages;
 
 use super::camera::FARTHEST;
 use super::colour::ColourSource;
-use super::colour::Spread;
+use super::colour::ValueStatistics;
 use super::ranked::{AtomicSet, RankedSet};
 use super::raster::ProjectedCorners;
 use super::request::MeshMemory;
@@ -40,7 +40,7 @@ pub(super) struct Shape<'a> {
     /// The number of the first vertex of each piece; the last entry is the total number of
     /// vertices.
     firsts: Vec<u32>,
-    kept: Option<WholeMesh<'a>>,
+    whole: Option<WholeMesh<'a>>,
     /// Number of triangles per batch of a mesh that is not in memory.
     batch: usize,
 }
@@ -61,16 +61,16 @@ pub(super) struct TriangleBatch<'a> {
     pub(super) triangles: &'a [[u32; 3]],
     pub(super) places: &'a [[f64; 3]],
     /// The vertices to which `places` belong; `None` if these are all vertices of the mesh.
-    held: Option<RankedSet>,
+    vertex_set: Option<RankedSet>,
 }
 
 impl TriangleBatch<'_> {
     /// The index of the position of a vertex; `None` if the batch lacks the vertex.
     #[inline]
     pub(super) fn find(&self, vertex: u32) -> Option<usize> {
-        match &self.held {
+        match &self.vertex_set {
             None => Some(vertex as usize),
-            Some(held) => held.rank(vertex).map(|rank| rank as usize),
+            Some(vertex_set) => vertex_set.rank(vertex).map(|rank| rank as usize),
         }
     }
 
@@ -97,34 +97,35 @@ impl<'a> Shape<'a> {
         let keep = matches!(memory, MeshMemory::Whole);
         if keep
             && !outline.normals
-            && !kind.any()
+            && !kind.has_values()
             && let Some((places, triangles)) = mesh.at_once()?
         {
             let bounds = places.par_chunks(PLACES).filter_map(box_of).reduce_with(joined);
             let places = Cow::Owned(places);
-            let kept = WholeMesh { places, normals: Vec::new(), values: Vec::new(), triangles };
+            let whole = WholeMesh { places, normals: Vec::new(), values: Vec::new(), triangles };
             let scope = Scope { bounds, ..Scope::default() };
             return Ok(Self {
                 mesh,
                 scope,
                 firsts: vec![0, vertices as u32],
-                kept: Some(kept),
+                whole: Some(whole),
                 batch: 0,
             });
         }
         let borrowed = mesh.whole_positions().filter(|_| keep);
         let room = |wanted: bool, count: u64| if keep && wanted { count as usize } else { 0 };
-        let mut kept = WholeMesh {
+        let mut whole = WholeMesh {
             places: borrowed.map_or_else(
                 || Cow::Owned(zeroed_in_huge_pages(room(true, vertices))),
                 Cow::Borrowed,
             ),
             normals: zeroed_in_huge_pages(room(outline.normals, vertices)),
-            values: zeroed_in_huge_pages(room(kind.any(), vertices)),
+            values: zeroed_in_huge_pages(room(kind.has_values(), vertices)),
             triangles: zeroed_in_huge_pages(room(true, triangles)),
         };
-        let mut put_triangles = 0;
-        let (mut scope, mut spread, mut firsts) = (Scope::default(), Spread::default(), vec![0]);
+        let mut triangles_end = 0;
+        let (mut scope, mut statistics, mut firsts) =
+            (Scope::default(), ValueStatistics::default(), vec![0]);
         let group = PIECES * rayon::current_num_threads();
         for start in (0..outline.pieces).step_by(group) {
             let pieces: Vec<_> = (start..(start + group).min(outline.pieces))
@@ -132,7 +133,7 @@ impl<'a> Shape<'a> {
                 .map(|piece| -> io::Result<_> {
                     let read = mesh.vertices(piece)?;
                     let values = kind.of(&read);
-                    let known = (box_of(&read.positions), Spread::of(&values, kind));
+                    let known = (box_of(&read.positions), ValueStatistics::of(&values, kind));
                     let triangles =
                         if keep { triangles_of(mesh, piece, vertices)? } else { Vec::new() };
                     Ok((read, values, known, triangles))
@@ -141,31 +142,35 @@ impl<'a> Shape<'a> {
             let first = firsts[firsts.len() - 1] as usize;
             for (read, _, (of_piece, of_values), _) in &pieces {
                 scope.bounds = [scope.bounds, *of_piece].into_iter().flatten().reduce(joined);
-                spread.join(of_values);
+                statistics.join(of_values);
                 firsts.push(firsts[firsts.len() - 1] + read.positions.len() as u32);
             }
             if keep {
                 if borrowed.is_none() {
-                    put(kept.places.to_mut(), first, &pieces, |(read, ..)| &read.positions);
+                    copy_pieces(whole.places.to_mut(), first, &pieces, |(read, ..)| {
+                        &read.positions
+                    });
                 }
                 if outline.normals {
-                    put(&mut kept.normals, first, &pieces, |(read, ..)| &read.normals);
+                    copy_pieces(&mut whole.normals, first, &pieces, |(read, ..)| &read.normals);
                 }
-                if kind.any() {
-                    put(&mut kept.values, first, &pieces, |(_, values, ..)| values);
+                if kind.has_values() {
+                    copy_pieces(&mut whole.values, first, &pieces, |(_, values, ..)| values);
                 }
-                put_triangles =
-                    put(&mut kept.triangles, put_triangles, &pieces, |(.., triangles)| triangles);
+                triangles_end =
+                    copy_pieces(&mut whole.triangles, triangles_end, &pieces, |(.., triangles)| {
+                        triangles
+                    });
             }
         }
-        (scope.range, scope.beyond) = spread.range();
+        (scope.range, scope.beyond) = statistics.range();
         let batch = match *memory {
             MeshMemory::Whole => 0,
             MeshMemory::Batches(bytes) => {
                 ((bytes / BATCH_BYTES).max(LEAST_BATCH) - LEAST_BATCH / 2) as usize
             }
         };
-        Ok(Self { mesh, scope, firsts, kept: keep.then_some(kept), batch })
+        Ok(Self { mesh, scope, firsts, whole: keep.then_some(whole), batch })
     }
 
     /// Number of vertices.
@@ -175,17 +180,17 @@ impl<'a> Shape<'a> {
 
     /// Maximum number of vertices in a batch; 0 if not known.
     pub(super) fn most_corners(&self) -> usize {
-        self.kept.as_ref().map_or(0, |kept| kept.places.len())
+        self.whole.as_ref().map_or(0, |whole| whole.places.len())
     }
 
     /// The normals of all vertices, if the mesh is in memory; empty if it has no normals.
-    pub(super) fn kept_normals(&self) -> Option<&[[f32; 3]]> {
-        self.kept.as_ref().map(|kept| &kept.normals[..])
+    pub(super) fn whole_normals(&self) -> Option<&[[f32; 3]]> {
+        self.whole.as_ref().map(|whole| &whole.normals[..])
     }
 
     /// The values of all vertices, if the mesh is in memory; empty if no values are shown.
-    pub(super) fn kept_values(&self) -> Option<&[f32]> {
-        self.kept.as_ref().map(|kept| &kept.values[..])
+    pub(super) fn whole_values(&self) -> Option<&[f32]> {
+        self.whole.as_ref().map(|whole| &whole.values[..])
     }
 
     /// The range of vertices of each piece.
@@ -198,17 +203,17 @@ impl<'a> Shape<'a> {
         &self,
         mut pass: impl FnMut(&TriangleBatch<'_>) -> Result<(), PictureError>,
     ) -> Result<(), PictureError> {
-        if let Some(kept) = &self.kept {
+        if let Some(whole) = &self.whole {
             return pass(&TriangleBatch {
                 first: 0,
-                triangles: &kept.triangles,
-                places: &kept.places,
-                held: None,
+                triangles: &whole.triangles,
+                places: &whole.places,
+                vertex_set: None,
             });
         }
         self.triangles(|first, triangles| {
-            let (held, places) = self.places_of(triangles)?;
-            pass(&TriangleBatch { first, triangles, places: &places, held: Some(held) })
+            let (vertex_set, places) = self.places_of(triangles)?;
+            pass(&TriangleBatch { first, triangles, places: &places, vertex_set: Some(vertex_set) })
         })
     }
 
@@ -218,8 +223,8 @@ impl<'a> Shape<'a> {
         &self,
         mut pass: impl FnMut(u32, &[[u32; 3]]) -> Result<(), PictureError>,
     ) -> Result<(), PictureError> {
-        if let Some(kept) = &self.kept {
-            return pass(0, &kept.triangles);
+        if let Some(whole) = &self.whole {
+            return pass(0, &whole.triangles);
         }
         let pieces = self.mesh.pieces();
         let vertices = self.vertices().into();
@@ -246,16 +251,16 @@ impl<'a> Shape<'a> {
             .par_iter()
             .map(|&[a, b, c]| [a.min(b).min(c), a.max(b).max(c)])
             .reduce(|| [u32::MAX, 0], |[a, b], [c, d]| [a.min(c), b.max(d)]);
-        let held = AtomicSet::none_of(range[0]..range[1].saturating_add(1));
-        triangles.par_iter().flatten_iter().for_each(|&corner| held.insert(corner));
-        let held = held.ranked();
+        let vertex_set = AtomicSet::none_of(range[0]..range[1].saturating_add(1));
+        triangles.par_iter().flatten_iter().for_each(|&corner| vertex_set.insert(corner));
+        let vertex_set = vertex_set.ranked();
         let pieces: Vec<(usize, Range<u32>)> = self.pieces().enumerate().collect();
-        let mut places = Vec::with_capacity(held.len());
+        let mut places = Vec::with_capacity(vertex_set.len());
         for pieces in pieces.chunks(rayon::current_num_threads()) {
             let read: Vec<Vec<[f64; 3]>> = pieces
                 .par_iter()
                 .map(|(piece, range)| {
-                    let mut members = held.within(range.clone()).peekable();
+                    let mut members = vertex_set.within(range.clone()).peekable();
                     if members.peek().is_none() {
                         return Ok(Vec::new());
                     }
@@ -267,13 +272,13 @@ impl<'a> Shape<'a> {
                 .collect::<io::Result<_>>()?;
             places.extend(read.into_iter().flatten());
         }
-        Ok((held, places))
+        Ok((vertex_set, places))
     }
 }
 
 /// Copies the data of `pieces` into an array, from index `first` on, with several threads. Returns
 /// the end index.
-fn put<P: Sync, T: Copy + Send + Sync>(
+fn copy_pieces<P: Sync, T: Copy + Send + Sync>(
     into: &mut [T],
     first: usize,
     pieces: &[P],

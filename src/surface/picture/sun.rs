@@ -12,9 +12,9 @@ use super::raster::Raster;
 /// Distance of the sun's eye, in radii of the scene: far enough for almost parallel rays.
 const SUN_FAR: f64 = 40.0;
 /// Absorption of sunlight by water, per radius of the scene.
-const SUN_TAKEN: f32 = 5.0;
+const SUN_ABSORPTION: f32 = 5.0;
 /// Thickness, in radii of the scene, of a layer that casts no shadow on itself.
-const SKIN: f32 = 0.012;
+const UNSHADED_DEPTH: f32 = 0.012;
 
 /// The sun's view of the fluid.
 pub(super) struct SunView {
@@ -45,7 +45,7 @@ impl SunView {
                 let water = sample.through.max(0.0) * radii;
                 (
                     1.0 / sample.near,
-                    (-SUN_TAKEN * water).exp() * if water > 0.0 { 0.85 } else { 1.0 },
+                    (-SUN_ABSORPTION * water).exp() * if water > 0.0 { 0.85 } else { 1.0 },
                 )
             }
         };
@@ -79,21 +79,21 @@ impl Sunlight {
 
     /// The fraction of the sunlight that reaches a place in the fluid; `exp` is the exponential
     /// function.
-    pub(super) fn within(&self, place: DVec3, exp: impl Fn(f32) -> f32) -> f32 {
+    pub(super) fn in_fluid(&self, place: DVec3, exp: impl Fn(f32) -> f32) -> f32 {
         self.mean(place, &self.distances, |surface, distance| {
-            let water = (distance - surface) * self.radii - SKIN;
-            if water > 0.0 { exp(-SUN_TAKEN * water) } else { 1.0 }
+            let water = (distance - surface) * self.radii - UNSHADED_DEPTH;
+            if water > 0.0 { exp(-SUN_ABSORPTION * water) } else { 1.0 }
         })
     }
 
     /// The fraction of the sunlight that reaches a place on the ground.
-    pub(super) fn below(&self, place: DVec3) -> f32 {
+    pub(super) fn on_ground(&self, place: DVec3) -> f32 {
         self.mean(place, &self.below, |share, _| share)
     }
 
     /// The mean over the samples around a place.
     fn mean(&self, place: DVec3, of: &[f32], share: impl Fn(f32, f32) -> f32) -> f32 {
-        let [x, y, distance] = self.camera.seen(place);
+        let [x, y, distance] = self.camera.camera_coordinates(place);
         let side = self.samples as f64;
         let at = [x / distance + 0.5, 0.5 - y / distance].map(|share| share * side);
         if !at.iter().all(|at| (1.0..side - 1.0).contains(at)) {

@@ -17,17 +17,17 @@ use super::shape::{Shape, TriangleBatch};
 /// Number of triangles per task.
 const TASK: usize = 1 << 13;
 /// Number of groups of corners. Each group's normals are summed by one thread.
-const SHARES: usize = 16;
+const GROUPS: usize = 16;
 /// The rank of an invisible corner.
-const UNSEEN: u32 = u32::MAX;
+const INVISIBLE: u32 = u32::MAX;
 
 /// The visible triangles and their corners.
 pub(super) struct VisibleTriangles {
     triangles: RankedSet,
     corners: Vec<[u32; 3]>,
-    /// Places of the corners in the coordinates of `Camera::seen`, divided by the eye's distance
-    /// from the target.
-    seen: Vec<[f32; 3]>,
+    /// The [camera coordinates](Camera::camera_coordinates) of the corners, divided by the eye's
+    /// distance from the target.
+    coordinates: Vec<[f32; 3]>,
     /// Normals of the corners: unit vectors, or zeros.
     normals: Vec<Vec3>,
     /// Values of the corners; empty if no values are shown.
@@ -82,26 +82,28 @@ impl VisibleTriangles {
         let vertices = AtomicSet::none_of(0..shape.vertices());
         corners.par_iter().flatten_iter().for_each(|&corner| vertices.insert(corner));
         let vertices = vertices.ranked();
-        let [seen_triangles, seen_vertices] =
+        let [visible_triangles, visible_vertices] =
             [triangles.len(), vertices.len()].map(|count| count as u64);
-        budget.check(seen_triangles * Self::TRIANGLE_BYTES + seen_vertices * Self::VERTEX_BYTES)?;
+        budget.check(
+            visible_triangles * Self::TRIANGLE_BYTES + visible_vertices * Self::VERTEX_BYTES,
+        )?;
         corners.par_iter_mut().flatten_iter().for_each(|corner| *corner = rank(&vertices, *corner));
 
         let mut visible = Self {
             triangles,
             corners,
-            seen: vec![[0.0; 3]; vertices.len()],
+            coordinates: vec![[0.0; 3]; vertices.len()],
             normals: vec![Vec3::ZERO; vertices.len()],
             values: Vec::new(),
         };
         let add_up = !shape.mesh.has_normals();
         let numbers = vertices.map(0..shape.vertices(), |vertex| vertex);
         shape.batches(|batch| {
-            visible.seen.par_iter_mut().zip(&numbers).with_min_len(TASK).for_each(
-                |(seen, &vertex)| {
+            visible.coordinates.par_iter_mut().zip(&numbers).with_min_len(TASK).for_each(
+                |(coordinates, &vertex)| {
                     if let Some(at) = batch.find(vertex) {
-                        *seen = camera
-                            .seen(batch.places[at].into())
+                        *coordinates = camera
+                            .camera_coordinates(batch.places[at].into())
                             .map(|x| (x / camera.distance()) as f32);
                     }
                 },
@@ -111,30 +113,31 @@ impl VisibleTriangles {
             }
             Ok(())
         })?;
-        visible.carried(shape, &vertices, values)?;
+        visible.set_normals_and_values(shape, &vertices, values)?;
         visible.normals.par_iter_mut().for_each(|normal| *normal = normal.normalize_or_zero());
         Ok(visible)
     }
 
     /// Sets the normals and the values of the vertices from the mesh.
-    fn carried(
+    fn set_normals_and_values(
         &mut self,
         shape: &Shape<'_>,
         vertices: &RankedSet,
         values: &ColourSource<'_>,
     ) -> io::Result<()> {
         let all = 0..shape.vertices();
-        let (normals, valued) = (shape.mesh.has_normals(), values.any());
+        let (normals, valued) = (shape.mesh.has_normals(), values.has_values());
         if !normals && !valued {
             return Ok(());
         }
-        if let (Some(kept_normals), Some(kept_values)) = (shape.kept_normals(), shape.kept_values())
+        if let (Some(whole_normals), Some(whole_values)) =
+            (shape.whole_normals(), shape.whole_values())
         {
             if normals {
-                self.normals = vertices.map(all.clone(), |n| Vec3::from(kept_normals[n as usize]));
+                self.normals = vertices.map(all.clone(), |n| Vec3::from(whole_normals[n as usize]));
             }
             if valued {
-                self.values = vertices.map(all, |n| kept_values[n as usize]);
+                self.values = vertices.map(all, |n| whole_values[n as usize]);
             }
             return Ok(());
         }
@@ -160,7 +163,7 @@ impl VisibleTriangles {
     /// The point of a triangle that is visible at the place `towards` of the picture. `towards` has
     /// its distances to the right and up from the picture's middle, in units of the picture's
     /// height.
-    pub(super) fn spot(&self, triangle: u32, towards: Vec2) -> VisiblePoint {
+    pub(super) fn point(&self, triangle: u32, towards: Vec2) -> VisiblePoint {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];
         let sum: f32 = shares.iter().sum();
@@ -197,9 +200,9 @@ impl VisibleTriangles {
     fn around(&self, triangle: u32, towards: Vec2) -> ([usize; 3], [f32; 3], [Vec2; 3]) {
         let [a, b, c] = self.corners[rank(&self.triangles, triangle) as usize];
         let corners = [a as usize, b as usize, c as usize];
-        let seen = |n: usize| self.seen[corners[n]];
+        let coordinates = |n: usize| self.coordinates[corners[n]];
         let from_line = |[x, y, distance]: [f32; 3]| Vec2::new(x, y) - distance * towards;
-        let [a, b, c] = [seen(0), seen(1), seen(2)];
+        let [a, b, c] = [coordinates(0), coordinates(1), coordinates(2)];
         (corners, [a[2], b[2], c[2]], [from_line(a), from_line(b), from_line(c)])
     }
 }
@@ -209,32 +212,32 @@ type Addition = ([u32; 3], Vec3);
 
 /// Adds the area-weighted normals of triangles to their visible corners, in triangle order.
 fn add_normals(batch: &TriangleBatch<'_>, vertices: &RankedSet, unit: f64, normals: &mut [Vec3]) {
-    let share = normals.len().div_ceil(SHARES).max(1);
+    let group_size = normals.len().div_ceil(GROUPS).max(1);
     let scale = 1.0 / unit;
     // For each task, the triangles that contribute to each group, given by the ranks of their
     // corners. Most triangles contribute to one group only.
-    let additions: Vec<[Vec<Addition>; SHARES]> = batch
+    let additions: Vec<[Vec<Addition>; GROUPS]> = batch
         .triangles
         .par_chunks(TASK)
         .map(|triangles| {
-            let mut additions: [Vec<_>; SHARES] = Default::default();
+            let mut additions: [Vec<_>; GROUPS] = Default::default();
             for &[a, b, c] in triangles {
                 // Most triangles of a fine mesh have no visible corner.
                 if !(vertices.contains(a) | vertices.contains(b) | vertices.contains(c)) {
                     continue;
                 }
-                let rank = |corner: u32| vertices.rank(corner).unwrap_or(UNSEEN);
+                let rank = |corner: u32| vertices.rank(corner).unwrap_or(INVISIBLE);
                 let ranks = [rank(a), rank(b), rank(c)];
                 let place = |corner: u32| DVec3::from(batch.places[batch.index(corner)]);
                 let [a, b, c] = [place(a), place(b), place(c)];
                 let normal = ((b - a) * scale).cross((c - a) * scale).as_vec3();
-                let shares = [
-                    ranks[0] as usize / share,
-                    ranks[1] as usize / share,
-                    ranks[2] as usize / share,
+                let groups = [
+                    ranks[0] as usize / group_size,
+                    ranks[1] as usize / group_size,
+                    ranks[2] as usize / group_size,
                 ];
-                for (n, of) in shares.into_iter().enumerate() {
-                    if ranks[n] != UNSEEN && !shares[..n].contains(&of) {
+                for (n, of) in groups.into_iter().enumerate() {
+                    if ranks[n] != INVISIBLE && !groups[..n].contains(&of) {
                         additions[of].push((ranks, normal));
                     }
                 }
@@ -242,8 +245,8 @@ fn add_normals(batch: &TriangleBatch<'_>, vertices: &RankedSet, unit: f64, norma
             additions
         })
         .collect();
-    normals.par_chunks_mut(share).enumerate().for_each(|(n, normals)| {
-        let first = (n * share) as u32;
+    normals.par_chunks_mut(group_size).enumerate().for_each(|(n, normals)| {
+        let first = (n * group_size) as u32;
         for (ranks, normal) in additions.iter().flat_map(|of_task| &of_task[n]) {
             for rank in ranks {
                 if let Some(sum) = normals.get_mut(rank.wrapping_sub(first) as usize) {

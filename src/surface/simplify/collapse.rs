@@ -28,33 +28,34 @@ const SAMPLE_STEP: f32 = 0.5;
 /// checked.
 const UNCERTAIN_SHARE: f32 = 0.4;
 /// Number of these additional samples on each side of the sample.
-const FINE: i32 = 4;
+const EXTRA_SAMPLES: i32 = 4;
 /// The segment between two vertices is not checked if both vertices are at most this fraction of
 /// the tolerance away from their closest triangles, and the cosine between the normals of these
 /// triangles is at least `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// If no segment around a vertex needed a check, these segments are not checked again as long as
-/// the cosine between the old and the new normal of the vertex's closest triangle is at least this.
-const STEADY: f32 = 0.98;
+/// If no segment around a removed vertex needed a check, these segments are not checked again as
+/// long as the vertex is close to its closest triangle (`CLOSE_SHARE`), and the cosine between this
+/// triangle's normal and the normal at the time of the last check is at least this.
+const STEADY_COSINE: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
 /// A vertex is not moved to a place whose root mean square distance from the planes of its quadric
 /// is above this fraction of the tolerance.
 const QUADRIC_SHARE: f32 = 0.9;
 /// Maximum rotation of a triangle in one collapse, as a cosine.
-const TURN: f32 = 0.2;
+const LEAST_TURN_COSINE: f32 = 0.2;
 /// Two triangles fold back on each other if the cosine between their normals is less than this,
 /// which corresponds to 170 degrees.
-const FOLD: f32 = -0.985;
+const FOLD_COSINE: f32 = -0.985;
 /// A triangle is a sliver if the squared sine of its smallest angle is less than this, which
 /// corresponds to 10 degrees.
 const SLIVER: f32 = 0.03;
 /// Maximum number of triangles in a closed part whose volume is checked in every collapse. Without
 /// this check, a part smaller than the tolerance could vanish or turn inside out.
-const SMALL: usize = 16;
+const MOST_CHECKED_TRIANGLES: usize = 16;
 /// A collapse must leave at least this fraction of the volume of such a part.
-const KEPT: f32 = 0.5;
+const LEAST_VOLUME_SHARE: f32 = 0.5;
 
 /// The reference surface and the limits for the collapses in a patch.
 pub struct Measure<'a> {
@@ -70,14 +71,14 @@ pub struct Measure<'a> {
 
 /// For each vertex of `reference` that `surface` lacks, finds the closest triangle on `surface`.
 /// Each search starts from a neighbour's result.
-pub fn find_homes(
+pub fn find_closest_triangles(
     reference: &EditableMesh,
     surface: &mut EditableMesh,
     normals: &[Vec3A],
     distance: f32,
 ) {
     let lacks = |surface: &EditableMesh, corners: &[u32; 3]| {
-        corners.iter().any(|&v| surface.spot(v) == VertexState::NOWHERE)
+        corners.iter().any(|&v| surface.state(v) == VertexState::UNUSED)
     };
     let mut left: Vec<[u32; 3]> =
         reference.triangles.iter().copied().filter(|corners| lacks(surface, corners)).collect();
@@ -85,25 +86,25 @@ pub fn find_homes(
     while std::mem::take(&mut found_some) {
         left.retain(|corners| {
             let Some(&known) =
-                corners.iter().find(|&&vertex| surface.spot(vertex) != VertexState::NOWHERE)
+                corners.iter().find(|&&vertex| surface.state(vertex) != VertexState::UNUSED)
             else {
                 return true;
             };
             for &vertex in corners {
-                if surface.spot(vertex) != VertexState::NOWHERE {
+                if surface.state(vertex) != VertexState::UNUSED {
                     continue;
                 }
                 let (place, normal) =
                     (reference.positions[vertex as usize], normals[vertex as usize]);
-                let from = match surface.has(known) {
+                let from = match surface.has_vertex(known) {
                     true => surface.towards(known, place),
                     false => surface.at(known),
                 };
                 if let Some((closest, squared)) =
-                    surface.holder(from, place, normal, SAMPLE_SHARE * distance)
+                    surface.near_triangle(from, place, normal, SAMPLE_SHARE * distance)
                 {
                     let is_close = squared <= (CLOSE_SHARE * distance).powi(2);
-                    surface.settle(vertex, VertexState::gone(closest, is_close));
+                    surface.set_state(vertex, VertexState::removed(closest, is_close));
                     found_some = true;
                 }
             }
@@ -167,7 +168,7 @@ impl Quadric {
 
 /// The state of a simplification.
 struct CollapseState<'a, 'b> {
-    by: &'b Measure<'a>,
+    measure: &'b Measure<'a>,
     surface: EditableMesh<'a>,
     /// For each triangle, a linked list of the removed vertices to which it is closest: `first` has
     /// the first vertex of each triangle's list, and `next` the vertex after each vertex.
@@ -175,9 +176,9 @@ struct CollapseState<'a, 'b> {
     next: Vec<u32>,
     /// For each removed vertex, the normal of its closest triangle if no segment around the vertex
     /// needed a check, and otherwise zero.
-    calm: Vec<Vec3A>,
+    unchecked_normal: Vec<Vec3A>,
     /// Vertices at the other ends of checked segments, whose own segments must be checked again.
-    looked_at: Vec<u32>,
+    checked_ends: Vec<u32>,
     quadrics: Vec<Quadric>,
     /// For each vertex, the smallest error of moving it onto a neighbour, and this neighbour;
     /// `NONE` if they are not computed yet.
@@ -203,8 +204,8 @@ struct MovedVertex {
     vertex: u32,
     from: VertexState,
     to: VertexState,
-    /// The new value of `CollapseState::calm` for the vertex.
-    calm: Vec3A,
+    /// The new value of `CollapseState::unchecked_normal` for the vertex.
+    unchecked_normal: Vec3A,
 }
 
 impl<'a> Measure<'a> {
@@ -212,11 +213,11 @@ impl<'a> Measure<'a> {
     pub fn collapse(&self, surface: EditableMesh<'a>, locked: &[bool]) -> EditableMesh<'a> {
         let vertices = surface.positions.len();
         let mut work = CollapseState {
-            by: self,
+            measure: self,
             first: vec![NONE; surface.triangles.len()],
             next: vec![NONE; vertices],
-            calm: vec![Vec3A::ZERO; vertices],
-            looked_at: Vec::new(),
+            unchecked_normal: vec![Vec3A::ZERO; vertices],
+            checked_ends: Vec::new(),
             quadrics: vec![Quadric::NONE; vertices],
             best: vec![(f32::INFINITY, NONE); vertices],
             changed: Vec::new(),
@@ -237,51 +238,54 @@ impl<'a> Measure<'a> {
             }
         }
         for vertex in 0..vertices as u32 {
-            let spot = work.surface.spot(vertex);
-            if spot.is_gone() && spot != VertexState::NOWHERE {
-                work.settle(vertex, spot);
+            let state = work.surface.state(vertex);
+            if state.is_removed() && state != VertexState::UNUSED {
+                work.set_state(vertex, state);
             }
         }
         work.run(locked);
         work.surface
     }
 
-    /// Whether a sample of the edge from `from` to `to` is too far from the triangles of the
+    /// Whether a sample of the edge from `from` to `to` is too far from all triangles of the
     /// reference whose normals do not oppose `normal`.
-    fn is_stray(&self, from: u32, to: u32, normal: Vec3A) -> bool {
+    fn is_edge_far(&self, from: u32, to: u32, normal: Vec3A) -> bool {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &HalfEdge| edge.to == to || edge.before == to;
         if self.outgoing.at(from).iter().any(is_next)
-            || reference.leads(from, to, normal, SAMPLE_SHARE * distance)
+            || reference.has_path(from, to, normal, SAMPLE_SHARE * distance)
         {
             return false;
         }
         let [p, q] = [from, to].map(|vertex| reference.positions[vertex as usize]);
         let steps = ((p.distance(q) / SAMPLE_STEP).ceil() as i32).max(2);
-        let at = |fine: i32| p.lerp(q, fine as f32 / (steps * 2 * FINE) as f32);
+        let at = |fine: i32| p.lerp(q, fine as f32 / (steps * 2 * EXTRA_SAMPLES) as f32);
         let mut last = reference.at(from);
         let mut within = |sample: Vec3A, share: f32| {
-            let holder = reference.holder(last, sample, normal, share * distance);
-            last = holder.map_or(last, |(holder, _)| holder);
-            holder.is_some()
+            let near_triangle = reference.near_triangle(last, sample, normal, share * distance);
+            last = near_triangle.map_or(last, |(near_triangle, _)| near_triangle);
+            near_triangle.is_some()
         };
-        (1..steps).map(|step| step * 2 * FINE).any(|step| {
+        (1..steps).map(|step| step * 2 * EXTRA_SAMPLES).any(|step| {
             !within(at(step), UNCERTAIN_SHARE)
-                && (step - FINE..=step + FINE).map(at).any(|sample| !within(sample, SAMPLE_SHARE))
+                && (step - EXTRA_SAMPLES..=step + EXTRA_SAMPLES)
+                    .map(at)
+                    .any(|sample| !within(sample, SAMPLE_SHARE))
         })
     }
 }
 
 impl CollapseState<'_, '_> {
     fn run(&mut self, locked: &[bool]) {
-        let limit = (QUADRIC_SHARE * self.by.distance).powi(2);
-        self.changed.extend((0..locked.len() as u32).filter(|&vertex| self.surface.has(vertex)));
+        let limit = (QUADRIC_SHARE * self.measure.distance).powi(2);
+        self.changed
+            .extend((0..locked.len() as u32).filter(|&vertex| self.surface.has_vertex(vertex)));
         let mut queue: Vec<u64> = Vec::new();
         while !self.changed.is_empty() {
             for i in 0..self.changed.len() {
                 let vertex = self.changed[i];
                 self.is_changed[vertex as usize] = false;
-                if !locked[vertex as usize] && self.surface.has(vertex) {
+                if !locked[vertex as usize] && self.surface.has_vertex(vertex) {
                     if self.best[vertex as usize].1 == NONE {
                         self.best[vertex as usize] = self.best_of(vertex);
                     }
@@ -355,14 +359,14 @@ impl CollapseState<'_, '_> {
     }
 
     /// Marks the vertices around a collapse as changed.
-    fn note_changes(&mut self, gone: u32, ring: &[Incident]) {
+    fn note_changes(&mut self, removed: u32, ring: &[Incident]) {
         let target = ring[0].rim;
         for &Incident { rim, .. } in ring {
             if !std::mem::replace(&mut self.is_changed[rim as usize], true) {
                 self.changed.push(rim);
             }
             let (error, best) = self.best[rim as usize];
-            if rim == target || best == gone {
+            if rim == target || best == removed {
                 self.best[rim as usize].1 = NONE;
             } else if best != NONE {
                 let other = self.error(rim, target);
@@ -377,21 +381,21 @@ impl CollapseState<'_, '_> {
     /// whether it is valid.
     fn try_edge(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         let target = ring[0].rim;
-        if !self.may_turn(target, ring)
-            || !self.may_join(vertex, target, ring)
+        if !self.keeps_shapes(target, ring)
+            || !self.stays_manifold(vertex, target, ring)
             || !self.keeps_volume(vertex, target, ring[0].triangle)
-            || !self.find_new_homes(vertex, ring)
+            || !self.find_new_closest_triangles(vertex, ring)
             || !self.are_edges_near(target, ring)
         {
             return false;
         }
         self.surface.collapse(vertex, ring, self.parts.iter().map(|&(_, normal)| normal));
         for moved in &self.moved {
-            self.surface.settle(moved.vertex, moved.to);
+            self.surface.set_state(moved.vertex, moved.to);
         }
-        if !self.is_between_near() {
+        if !self.are_reference_edges_near() {
             for moved in &self.moved {
-                self.surface.settle(moved.vertex, moved.from);
+                self.surface.set_state(moved.vertex, moved.from);
             }
             self.surface.restore(vertex, ring);
             return false;
@@ -400,12 +404,12 @@ impl CollapseState<'_, '_> {
             self.first[incident.triangle as usize] = NONE;
         }
         for i in 0..self.moved.len() {
-            let MovedVertex { vertex, to, calm, .. } = self.moved[i];
-            self.settle(vertex, to);
-            self.calm[vertex as usize] = calm;
+            let MovedVertex { vertex, to, unchecked_normal, .. } = self.moved[i];
+            self.set_state(vertex, to);
+            self.unchecked_normal[vertex as usize] = unchecked_normal;
         }
-        for &vertex in &self.looked_at {
-            self.calm[vertex as usize] = Vec3A::ZERO;
+        for &vertex in &self.checked_ends {
+            self.unchecked_normal[vertex as usize] = Vec3A::ZERO;
         }
         let offset = self.position(target) - self.position(vertex);
         let quadric = self.quadrics[vertex as usize].moved(offset);
@@ -413,15 +417,15 @@ impl CollapseState<'_, '_> {
         true
     }
 
-    fn settle(&mut self, vertex: u32, spot: VertexState) {
-        self.surface.settle(vertex, spot);
+    fn set_state(&mut self, vertex: u32, state: VertexState) {
+        self.surface.set_state(vertex, state);
         self.next[vertex as usize] =
-            std::mem::replace(&mut self.first[spot.triangle() as usize], vertex);
+            std::mem::replace(&mut self.first[state.triangle() as usize], vertex);
     }
 
     /// Whether no triangle turns over, folds back or becomes a worse sliver than before.
-    fn may_turn(&mut self, target: u32, ring: &[Incident]) -> bool {
-        let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD;
+    fn keeps_shapes(&mut self, target: u32, ring: &[Incident]) -> bool {
+        let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD_COSINE;
         let (place, mut from) = (self.position(target), self.position(ring[1].rim));
         let mut worst = f32::INFINITY;
         self.parts.clear();
@@ -429,7 +433,7 @@ impl CollapseState<'_, '_> {
             let corners = [place, from, self.position(next.rim)];
             let scaled = scaled_normal(corners);
             let normal = scaled.normalize_or_zero();
-            if normal.dot(incident.normal) < TURN {
+            if normal.dot(incident.normal) < LEAST_TURN_COSINE {
                 return false;
             }
             worst = worst.min(shape(corners, scaled));
@@ -467,8 +471,8 @@ impl CollapseState<'_, '_> {
     }
 
     /// Whether the mesh stays a 2-manifold.
-    fn may_join(&mut self, vertex: u32, target: u32, ring: &[Incident]) -> bool {
-        let topology = self.by.topology;
+    fn stays_manifold(&mut self, vertex: u32, target: u32, ring: &[Incident]) -> bool {
+        let topology = self.measure.topology;
         let inner = &ring[2..ring.len() - 1];
         if topology.is_pinched(target)
             || topology.border[target as usize]
@@ -491,13 +495,15 @@ impl CollapseState<'_, '_> {
         for incident in inner {
             self.marks[incident.rim as usize] = self.mark;
         }
-        let beside = [ring[1].rim, ring[ring.len() - 1].rim];
+        let sides = [ring[1].rim, ring[ring.len() - 1].rim];
         self.surface.star(target).all(|triangle| {
             let corners = self.surface.triangles[triangle as usize];
             corners.iter().all(|&corner| self.marks[corner as usize] != self.mark)
                 // A ring of three triangles, closed by a triangle of `target` and the two vertices
-                // in `beside`, is a tetrahedron, which would vanish.
-                && (ring.len() > 3 || corners.contains(&vertex) || !beside.iter().all(|v| corners.contains(v)))
+                // in `sides`, is a tetrahedron, which would vanish.
+                && (ring.len() > 3
+                    || corners.contains(&vertex)
+                    || !sides.iter().all(|v| corners.contains(v)))
         })
     }
 
@@ -507,18 +513,18 @@ impl CollapseState<'_, '_> {
         let Self { surface, near, .. } = self;
         near.clear();
         near.push(triangle);
-        let mut looked_at = 0;
-        while let Some(&triangle) = near.get(looked_at) {
-            looked_at += 1;
-            for beside in surface.beside(triangle) {
-                if beside == NONE {
+        let mut visited = 0;
+        while let Some(&triangle) = near.get(visited) {
+            visited += 1;
+            for neighbour in surface.neighbours(triangle) {
+                if neighbour == NONE {
                     return true;
                 }
-                if !near.contains(&beside) {
-                    near.push(beside);
+                if !near.contains(&neighbour) {
+                    near.push(neighbour);
                 }
             }
-            if near.len() > SMALL {
+            if near.len() > MOST_CHECKED_TRIANGLES {
                 return true;
             }
         }
@@ -535,20 +541,21 @@ impl CollapseState<'_, '_> {
             near.iter().map(of).sum()
         };
         let after = volume(to);
-        after > 0.0 && after >= KEPT * volume(from)
+        after > 0.0 && after >= LEAST_VOLUME_SHARE * volume(from)
     }
 
     /// For each vertex whose closest triangle changes, finds the closest of the new triangles.
-    /// Returns `false` if all new triangles are too far from one of the vertices.
-    fn find_new_homes(&mut self, vertex: u32, ring: &[Incident]) -> bool {
+    /// Returns `false` if all new triangles are too far from one of these vertices, or face away
+    /// from its normal.
+    fn find_new_closest_triangles(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;
-        let within = (SAMPLE_SHARE * self.by.distance).powi(2);
-        let close = (CLOSE_SHARE * self.by.distance).powi(2);
+        let within = (SAMPLE_SHARE * self.measure.distance).powi(2);
+        let close = (CLOSE_SHARE * self.measure.distance).powi(2);
         let last = self.parts.len();
-        let closest = |gone: u32, before: usize| {
+        let closest = |removed: u32, before: usize| {
             let (place, normal) =
-                (self.surface.positions[gone as usize], self.by.normals[gone as usize]);
+                (self.surface.positions[removed as usize], self.measure.normals[removed as usize]);
             // Tries the previous closest triangle first, and then the other triangles.
             let mut nearest = None;
             let mut least = within;
@@ -565,23 +572,28 @@ impl CollapseState<'_, '_> {
                     }
                 }
             }
-            nearest.map(|(part, is_close)| VertexState::gone(ring[part + 1].triangle, is_close))
+            nearest.map(|(part, is_close)| VertexState::removed(ring[part + 1].triangle, is_close))
         };
         let Some(to) = closest(vertex, 0) else { return false };
-        self.moved.push(MovedVertex { vertex, from: VertexState::NOWHERE, to, calm: Vec3A::ZERO });
+        self.moved.push(MovedVertex {
+            vertex,
+            from: VertexState::UNUSED,
+            to,
+            unchecked_normal: Vec3A::ZERO,
+        });
         self.marks[vertex as usize] = self.mark;
         for (turn, incident) in ring.iter().enumerate() {
-            let mut gone = self.first[incident.triangle as usize];
-            while gone != NONE {
-                let Some(to) = closest(gone, turn.clamp(1, last) - 1) else { return false };
+            let mut removed = self.first[incident.triangle as usize];
+            while removed != NONE {
+                let Some(to) = closest(removed, turn.clamp(1, last) - 1) else { return false };
                 self.moved.push(MovedVertex {
-                    vertex: gone,
-                    from: self.surface.spot(gone),
+                    vertex: removed,
+                    from: self.surface.state(removed),
                     to,
-                    calm: Vec3A::ZERO,
+                    unchecked_normal: Vec3A::ZERO,
                 });
-                self.marks[gone as usize] = self.mark;
-                gone = self.next[gone as usize];
+                self.marks[removed as usize] = self.mark;
+                removed = self.next[removed as usize];
             }
         }
         true
@@ -591,71 +603,75 @@ impl CollapseState<'_, '_> {
     fn are_edges_near(&self, target: u32, ring: &[Incident]) -> bool {
         self.parts.windows(2).zip(&ring[2..]).all(|(parts, incident)| {
             let normal = parts[0].1 + parts[1].1;
-            !self.by.is_stray(target, incident.rim, normal)
+            !self.measure.is_edge_far(target, incident.rim, normal)
         })
     }
 
     /// Whether the edges of the reference whose ends have new closest triangles are within the
     /// tolerance of the surface.
-    fn is_between_near(&mut self) -> bool {
-        let (mut moved, mut looked_at) =
-            (std::mem::take(&mut self.moved), std::mem::take(&mut self.looked_at));
-        looked_at.clear();
+    fn are_reference_edges_near(&mut self) -> bool {
+        let (mut moved, mut checked_ends) =
+            (std::mem::take(&mut self.moved), std::mem::take(&mut self.checked_ends));
+        checked_ends.clear();
         let is_near = moved.iter_mut().all(|moved| {
             let (closest, is_close) = (moved.to.triangle(), moved.to.is_close());
             let (corners, normal) =
                 (self.surface.triangles[closest as usize], self.surface.normal(closest));
-            if self.stays_calm(moved.vertex) {
-                moved.calm = self.calm[moved.vertex as usize];
+            if self.stays_unchecked(moved.vertex) {
+                moved.unchecked_normal = self.unchecked_normal[moved.vertex as usize];
                 return true;
             }
-            let mut is_calm = is_close;
-            let is_near =
-                self.by.outgoing.at(moved.vertex).iter().all(|&HalfEdge { to: other, .. }| {
-                    let spot = self.surface.spot(other);
+            let mut needed_no_check = is_close;
+            let is_near = self.measure.outgoing.at(moved.vertex).iter().all(
+                |&HalfEdge { to: other, .. }| {
+                    let state = self.surface.state(other);
                     // There are no branches here, because they would be unpredictable.
-                    let facing = self.surface.normal_of(spot);
-                    let needs_no_look = (spot.triangle() == closest)
-                        | (!spot.is_gone() & corners.contains(&other))
+                    let facing = self.surface.normal_of(state);
+                    let needs_no_check = (state.triangle() == closest)
+                        | (!state.is_removed() & corners.contains(&other))
                         | facing.is_none_or(|facing| {
-                            is_close & spot.is_close() & (normal.dot(facing) >= FLAT)
+                            is_close & state.is_close() & (normal.dot(facing) >= FLAT)
                         });
-                    if !needs_no_look {
-                        is_calm = false;
-                        looked_at.push(other);
+                    if !needs_no_check {
+                        needed_no_check = false;
+                        checked_ends.push(other);
                     }
                     // If both ends have moved and need a check, one check is enough.
-                    needs_no_look
+                    needs_no_check
                         || self.marks[other as usize] == self.mark
                             && other < moved.vertex
-                            && !self.stays_calm(other)
+                            && !self.stays_unchecked(other)
                         || self.is_edge_near(moved.vertex, closest, other)
-                });
-            moved.calm = if is_calm { normal } else { Vec3A::ZERO };
+                },
+            );
+            moved.unchecked_normal = if needed_no_check { normal } else { Vec3A::ZERO };
             is_near
         });
-        (self.moved, self.looked_at) = (moved, looked_at);
+        (self.moved, self.checked_ends) = (moved, checked_ends);
         is_near
     }
 
-    /// Whether the segments around a removed vertex need no check, because its closest triangle has
-    /// hardly turned since the last check.
-    fn stays_calm(&self, vertex: u32) -> bool {
-        let spot = self.surface.spot(vertex);
-        let facing = self.surface.normal_of(spot);
-        spot.is_close()
-            && facing.is_some_and(|facing| facing.dot(self.calm[vertex as usize]) >= STEADY)
+    /// Whether the segments around a removed vertex need no check, because the vertex is close to
+    /// its closest triangle, and the normal of this triangle has hardly changed since the last
+    /// check.
+    fn stays_unchecked(&self, vertex: u32) -> bool {
+        let state = self.surface.state(vertex);
+        let facing = self.surface.normal_of(state);
+        state.is_close()
+            && facing.is_some_and(|facing| {
+                facing.dot(self.unchecked_normal[vertex as usize]) >= STEADY_COSINE
+            })
     }
 
     /// Whether an edge of the reference with a removed end is within the tolerance of the surface.
-    fn is_edge_near(&self, gone: u32, closest: u32, other: u32) -> bool {
-        let other_closest = match self.surface.has(other) {
-            true => self.surface.towards(other, self.position(gone)),
+    fn is_edge_near(&self, removed: u32, closest: u32, other: u32) -> bool {
+        let other_closest = match self.surface.has_vertex(other) {
+            true => self.surface.towards(other, self.position(removed)),
             false => self.surface.at(other),
         };
         self.are_near(
             [closest, other_closest],
-            [gone, other].map(|end| self.position(end)),
+            [removed, other].map(|end| self.position(end)),
             HALVINGS,
         )
     }
@@ -663,7 +679,7 @@ impl CollapseState<'_, '_> {
     /// Whether the segment between two points is within the tolerance of the surface. `closest` has
     /// a triangle close to each of the points.
     fn are_near(&self, closest: [u32; 2], [mut p, mut q]: [Vec3A; 2], halvings: u32) -> bool {
-        let within = SAMPLE_SHARE * self.by.distance;
+        let within = SAMPLE_SHARE * self.measure.distance;
         let [from, to] = closest.map(|closest| {
             move |place: Vec3A| self.surface.is_near(closest, place, within * within)
         });
@@ -679,7 +695,8 @@ impl CollapseState<'_, '_> {
                 (false, false) => {
                     // On a crest, the normal is not reliable, so triangles may face in any
                     // direction.
-                    let between = self.surface.holder(closest[0], middle, Vec3A::ZERO, within);
+                    let between =
+                        self.surface.near_triangle(closest[0], middle, Vec3A::ZERO, within);
                     return between.is_some_and(|(between, _)| {
                         self.are_near([closest[0], between], [p, middle], left)
                             && self.are_near([between, closest[1]], [middle, q], left)
@@ -728,7 +745,7 @@ impl<'a> Patch<'a> {
         } else {
             let own = OutgoingEdges::of(vertices, self.triangles);
             let mut surface = EditableMesh::new(self.positions, self.triangles.to_vec(), &own);
-            find_homes(&reference, &mut surface, &normals, distance);
+            find_closest_triangles(&reference, &mut surface, &normals, distance);
             surface
         };
         let topology = PatchTopology::of(&surface, self.outside);

@@ -2,7 +2,7 @@
 //!
 //! Each block's triangles are divided into parts; parts that share a vertex belong to one
 //! component. A block's triangles refer only to vertices of the block itself and of later blocks,
-//! so one pass over the blocks in order sees every vertex that two blocks share. By the divergence
+//! so one pass over the blocks in order finds all vertices that blocks share. By the divergence
 //! theorem, a part's contribution to the volume is a sum over its triangles, relative to a corner
 //! of its block. With the sum of the triangles' area vectors, the contribution can be converted to
 //! another corner.
@@ -181,17 +181,17 @@ impl PieceParts {
         let ranks: HashMap<u64, usize> = beyond.iter().copied().zip(own..).collect();
         let local = |vertex: u64| ranks.get(&vertex).copied().unwrap_or((vertex - first) as usize);
 
-        let mut lesser: Vec<u32> = (0..places.len() as u32).collect();
+        let mut parents: Vec<u32> = (0..places.len() as u32).collect();
         for triangle in &triangles {
-            let roots = triangle.map(|vertex| root(&mut lesser, local(vertex) as u32));
+            let roots = triangle.map(|vertex| root(&mut parents, local(vertex) as u32));
             let least = roots.into_iter().min().expect("a triangle has three corners");
-            roots.into_iter().for_each(|root| lesser[root as usize] = least);
+            roots.into_iter().for_each(|root| parents[root as usize] = least);
         }
         let mut numbers = HashMap::new();
         let part_of: Vec<u32> = (0..places.len() as u32)
             .map(|vertex| {
                 let next = numbers.len() as u32;
-                *numbers.entry(root(&mut lesser, vertex)).or_insert(next)
+                *numbers.entry(root(&mut parents, vertex)).or_insert(next)
             })
             .collect();
         let block = surface.level(piece).first_block(surface.block(piece));
@@ -242,10 +242,10 @@ impl Components {
     }
 }
 
-pub(super) fn root(lesser: &mut [u32], mut member: u32) -> u32 {
-    while lesser[member as usize] != member {
-        lesser[member as usize] = lesser[lesser[member as usize] as usize];
-        member = lesser[member as usize];
+pub(super) fn root(parents: &mut [u32], mut member: u32) -> u32 {
+    while parents[member as usize] != member {
+        parents[member as usize] = parents[parents[member as usize] as usize];
+        member = parents[member as usize];
     }
     member
 }

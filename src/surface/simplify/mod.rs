@@ -70,7 +70,7 @@ pub struct SimplifiedSurface {
 }
 
 /// Maximum memory, in bytes, of each thread's chunks: 2^3 blocks full of wrinkled surface.
-pub const BYTES_A_THREAD: u64 = 28 << 20;
+pub const BYTES_PER_THREAD: u64 = 28 << 20;
 /// Number of vertices in 2^3 blocks full of wrinkled surface.
 const CHUNK_VERTICES: usize = 160_000;
 
@@ -87,7 +87,7 @@ pub struct Reduction {
 
 /// The assumed volume of a small drop, relative to the volume of its particles. The actual volume
 /// is 0.6 to 1.1 for one particle, 0.7 to 1.1 for two, and 0.8 to 1.1 for eight.
-const HELD: f64 = 0.85;
+const DROP_VOLUME: f64 = 0.85;
 
 impl Reduction {
     /// Whether nothing is reduced.
@@ -120,7 +120,8 @@ pub fn simplify(
     let TriangleSpace { bytes, folder } = room;
     let Reduction { smallest_component, smallest_drop, .. } = *reduction;
     let (left_out, too_small) = if smallest_component.is_some() || smallest_drop.is_some() {
-        let particles = smallest_drop.map_or(0.0, |particles| HELD * (f64::from(particles) - 0.5));
+        let particles =
+            smallest_drop.map_or(0.0, |particles| DROP_VOLUME * (f64::from(particles) - 0.5));
         let volume = smallest_component.unwrap_or(0.0);
         let (vertices, too_small) =
             smaller_than(&surface, volume, particles * particle_cells, control)?;
@@ -140,19 +141,21 @@ pub fn simplify(
     let mut between = Lists::in_memory();
     // For each list in `between`: its shifted chunk, its treatment in the second pass, and its
     // number.
-    let mut homes: Vec<(MortonKey, Fate, usize)> = Vec::new();
+    let mut destinations: Vec<(MortonKey, SecondPass, usize)> = Vec::new();
     for chunks in batches(&surface, &aligned) {
-        let done: Vec<_> =
-            chunks.par_iter().map(|(_, pieces)| passes.first(pieces)).collect::<io::Result<_>>()?;
-        for ((home, fate), list) in done.into_iter().flatten() {
-            homes.push((home, fate, between.len()));
+        let done: Vec<_> = chunks
+            .par_iter()
+            .map(|(_, pieces)| passes.first_pass(pieces))
+            .collect::<io::Result<_>>()?;
+        for ((destination, treatment), list) in done.into_iter().flatten() {
+            destinations.push((destination, treatment, between.len()));
             between.push(list)?;
         }
         if between.bytes() > bytes / 2 {
             between.move_to_file(folder)?;
         }
     }
-    homes.sort_unstable();
+    destinations.sort_unstable();
 
     let mut triangles = Lists::in_memory();
     let mut kept = VertexSet::none_of(surface.vertex_count());
@@ -160,10 +163,15 @@ pub fn simplify(
     for chunks in batches(&surface, &shifted) {
         let done: Vec<WholeTriangles> = chunks
             .par_iter()
-            .map(|(home, pieces)| {
-                let start = homes.partition_point(|(other, ..)| other < home);
-                let lists = homes[start..].iter().take_while(|(other, ..)| other == home);
-                passes.second(pieces, &between, lists.map(|&(_, fate, list)| (fate, list)))
+            .map(|(destination, pieces)| {
+                let start = destinations.partition_point(|(other, ..)| other < destination);
+                let lists =
+                    destinations[start..].iter().take_while(|(other, ..)| other == destination);
+                passes.second_pass(
+                    pieces,
+                    &between,
+                    lists.map(|&(_, treatment, list)| (treatment, list)),
+                )
             })
             .collect::<io::Result<_>>()?;
         for list in done {
@@ -266,7 +274,7 @@ fn batches<'c>(
 
 /// The treatment of a triangle in the second pass.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Fate {
+enum SecondPass {
     Simplify,
     /// The triangle stays unchanged, because it is far from the former borders, or too close to the
     /// border of its shifted chunk.
@@ -302,7 +310,10 @@ impl Passes<'_> {
 
     /// Simplifies the triangles inside the given pieces, and returns the remaining triangles,
     /// grouped by their treatment in the second pass.
-    fn first(&self, pieces: &[usize]) -> io::Result<Vec<((MortonKey, Fate), WholeTriangles)>> {
+    fn first_pass(
+        &self,
+        pieces: &[usize],
+    ) -> io::Result<Vec<((MortonKey, SecondPass), WholeTriangles)>> {
         self.meter.go_on()?;
         let chunk = ChunkVertices::load(self.surface, pieces)?;
         let mut sorted = SortedTriangles::default();
@@ -312,7 +323,7 @@ impl Passes<'_> {
                 Some(local) => inside.push(local),
                 // `cell` is a dual cell. `corners` are the corners of a box that contains the cells
                 // of the triangle's vertices.
-                None => sorted.push(self.home(cell, self.scale.corners(cell)), triangle),
+                None => sorted.push(self.destination(cell, self.scale.corners(cell)), triangle),
             })?;
         }
         let patch = Patch {
@@ -328,7 +339,7 @@ impl Passes<'_> {
         };
         for triangle in self.simplified(patch) {
             let cells = triangle.map(|vertex| chunk.cells[vertex as usize]);
-            sorted.push(self.home(cells[0], cells), chunk.global(triangle));
+            sorted.push(self.destination(cells[0], cells), chunk.global(triangle));
         }
         self.meter.add(1);
         Ok(sorted.lists)
@@ -342,53 +353,58 @@ impl Passes<'_> {
         self.tolerance.map_or(0, |tolerance| tolerance.cells().ceil() as i32) + further
     }
 
-    /// The shifted chunk that contains the cell `of`, and how the second pass treats a triangle of
-    /// that chunk whose vertices are in `cells`. The cell `of` must be in a block with a surface. A
-    /// triangle is simplified only if the chunk contains all of the surface that is within the
-    /// tolerance of the triangle.
-    fn home<const N: usize>(&self, of: IVec3, cells: [IVec3; N]) -> (MortonKey, Fate) {
-        let block = of >> BLOCK.ilog2();
+    /// The shifted chunk that contains `cell`, and how the second pass treats a triangle of that
+    /// chunk whose vertices are in `cells`. `cell` must be in a block with a surface. A triangle is
+    /// simplified only if the chunk contains all of the surface that is within the tolerance of the
+    /// triangle.
+    fn destination<const N: usize>(
+        &self,
+        cell: IVec3,
+        cells: [IVec3; N],
+    ) -> (MortonKey, SecondPass) {
+        let block = cell >> BLOCK.ilog2();
         let (chunk, edge) = (self.scale.shifted_chunk(block), self.scale.chunk());
         let lo = (chunk * edge - edge / 2) * BLOCK;
         let reach = self.reach();
         let inner = CellBox { lo, hi: lo + edge * BLOCK }.grown(-reach, -reach);
         let band = BAND * self.scale.0;
-        let is_beside = |x: i32| (x + band).rem_euclid(edge * BLOCK) < 2 * band;
-        let is_near_seam = cells.iter().any(|cell| cell.to_array().into_iter().any(is_beside));
+        let is_in_band = |x: i32| (x + band).rem_euclid(edge * BLOCK) < 2 * band;
+        let is_near_seam = cells.iter().any(|cell| cell.to_array().into_iter().any(is_in_band));
         let is_inside = cells.iter().all(|&cell| inner.contains(cell));
-        let fate = if is_near_seam && is_inside { Fate::Simplify } else { Fate::Keep };
-        (MortonKey::of(chunk), fate)
+        let treatment =
+            if is_near_seam && is_inside { SecondPass::Simplify } else { SecondPass::Keep };
+        (MortonKey::of(chunk), treatment)
     }
 
-    /// Simplifies the lists of a shifted chunk that are marked [`Fate::Simplify`], and returns the
-    /// triangles of the chunk.
-    fn second(
+    /// Simplifies the lists of a shifted chunk that are marked [`SecondPass::Simplify`], and
+    /// returns the triangles of the chunk.
+    fn second_pass(
         &self,
         pieces: &[usize],
         between: &Lists<[u64; 3]>,
-        lists: impl Iterator<Item = (Fate, usize)>,
+        lists: impl Iterator<Item = (SecondPass, usize)>,
     ) -> io::Result<WholeTriangles> {
         self.meter.go_on()?;
         self.meter.add(1);
         let mut result = WholeTriangles::new();
-        let mut left = Vec::new();
+        let mut to_simplify = Vec::new();
         let chunk = ChunkVertices::load(self.surface, pieces)?;
-        for (fate, list) in lists {
+        for (treatment, list) in lists {
             let list = between.get(list)?;
-            match fate {
-                Fate::Keep => result.extend_from_slice(&list),
-                Fate::Simplify => left.extend(list.iter().map(|&triangle| {
+            match treatment {
+                SecondPass::Keep => result.extend_from_slice(&list),
+                SecondPass::Simplify => to_simplify.extend(list.iter().map(|&triangle| {
                     chunk
                         .local(triangle)
                         .expect("a triangle inside a chunk has all of its vertices there")
                 })),
             }
         }
-        if left.is_empty() {
+        if to_simplify.is_empty() {
             return Ok(result);
         }
         let edge = BOX * self.scale.0;
-        let near = NearCells::around(&left, &chunk.cells, self.reach(), edge);
+        let near = NearCells::around(&to_simplify, &chunk.cells, self.reach(), edge);
         let mut reference = Vec::new();
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| {
@@ -398,13 +414,13 @@ impl Passes<'_> {
             })?;
         }
         let mut used = UsedVertices::of(chunk.positions.len());
-        reference.iter_mut().chain(&mut left).for_each(|triangle| used.renumber(triangle));
+        reference.iter_mut().chain(&mut to_simplify).for_each(|triangle| used.renumber(triangle));
         let positions: Vec<Vec3A> =
             used.vertices.iter().map(|&at| chunk.positions[at as usize]).collect();
         let patch = Patch {
             positions: &positions,
             reference: &reference,
-            triangles: &left,
+            triangles: &to_simplify,
             pinned: &[],
             outside: Surroundings::Simplified,
         };
@@ -419,14 +435,14 @@ impl Passes<'_> {
 /// Lists of triangles, grouped by their shifted chunk and their treatment in the second pass.
 #[derive(Default)]
 struct SortedTriangles {
-    lists: Vec<((MortonKey, Fate), WholeTriangles)>,
+    lists: Vec<((MortonKey, SecondPass), WholeTriangles)>,
 }
 
 impl SortedTriangles {
-    fn push(&mut self, home: (MortonKey, Fate), triangle: [u64; 3]) {
-        match self.lists.iter_mut().find(|(key, _)| *key == home) {
+    fn push(&mut self, destination: (MortonKey, SecondPass), triangle: [u64; 3]) {
+        match self.lists.iter_mut().find(|(key, _)| *key == destination) {
             Some((_, list)) => list.push(triangle),
-            None => self.lists.push((home, vec![triangle])),
+            None => self.lists.push((destination, vec![triangle])),
         }
     }
 }

@@ -10,12 +10,12 @@ pub const NONE: u32 = u32::MAX;
 const NEXT: [usize; 3] = [1, 2, 0];
 const PREVIOUS: [usize; 3] = [2, 0, 1];
 /// Maximum number of triangles that a search visits before it gives up.
-const PATIENCE: usize = 32;
+const MOST_VISITED: usize = 32;
 /// A search continues from a triangle whose squared distance is at most this many times the
 /// smallest squared distance found so far.
 const DETOUR: f32 = 1.5;
 /// Maximum number of triangles that a path crosses per cell of its length.
-const STEPS_A_CELL: f32 = 8.0;
+const STEPS_PER_CELL: f32 = 8.0;
 
 /// Triangles in which each directed edge occurs at most once.
 #[derive(Clone)]
@@ -27,7 +27,7 @@ pub struct EditableMesh<'a> {
     across: Vec<[u32; 3]>,
     /// For each vertex, its state. If the vertex is on the border, the state has the first of its
     /// triangles in counter-clockwise order.
-    spots: Vec<VertexState>,
+    states: Vec<VertexState>,
     /// The outward unit normals of the triangles.
     normals: Vec<Vec3A>,
 }
@@ -37,25 +37,25 @@ pub struct EditableMesh<'a> {
 pub struct VertexState(u32);
 
 impl VertexState {
-    pub const NOWHERE: Self = Self(NONE);
-    const GONE: u32 = 1 << 31;
+    pub const UNUSED: Self = Self(NONE);
+    const REMOVED: u32 = 1 << 31;
     const FAR: u32 = 1 << 30;
 
     fn corner(triangle: u32) -> Self {
         Self(triangle)
     }
 
-    pub fn gone(closest: u32, is_close: bool) -> Self {
-        Self(closest | Self::GONE | if is_close { 0 } else { Self::FAR })
+    pub fn removed(closest: u32, is_close: bool) -> Self {
+        Self(closest | Self::REMOVED | if is_close { 0 } else { Self::FAR })
     }
 
     /// A triangle at the vertex, or the closest triangle of a removed vertex.
     pub fn triangle(self) -> u32 {
-        self.0 & !(Self::GONE | Self::FAR)
+        self.0 & !(Self::REMOVED | Self::FAR)
     }
 
-    pub fn is_gone(self) -> bool {
-        self.0 & Self::GONE != 0
+    pub fn is_removed(self) -> bool {
+        self.0 & Self::REMOVED != 0
     }
 
     /// Whether a removed vertex is so close to its closest triangle that segments to other such
@@ -132,7 +132,7 @@ impl<'a> EditableMesh<'a> {
             .map(|&t| scaled_normal(corners(positions, t)).normalize_or_zero())
             .collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
-        let mut spots = vec![VertexState::NOWHERE; positions.len()];
+        let mut states = vec![VertexState::UNUSED; positions.len()];
         // For each vertex, the latest edge that was found to start there: the edge's end and its
         // triangle.
         let mut slots = vec![(NONE, NONE); positions.len()];
@@ -148,10 +148,10 @@ impl<'a> EditableMesh<'a> {
                     first = Some(edge);
                 }
             }
-            spots[vertex as usize] =
-                first.map_or(VertexState::NOWHERE, |edge| VertexState::corner(edge.side / 3));
+            states[vertex as usize] =
+                first.map_or(VertexState::UNUSED, |edge| VertexState::corner(edge.side / 3));
         }
-        Self { positions, triangles, across, spots, normals }
+        Self { positions, triangles, across, states, normals }
     }
 
     pub fn corners(&self, triangle: u32) -> [Vec3A; 3] {
@@ -162,29 +162,29 @@ impl<'a> EditableMesh<'a> {
         self.normals[triangle as usize]
     }
 
-    pub fn spot(&self, vertex: u32) -> VertexState {
-        self.spots[vertex as usize]
+    pub fn state(&self, vertex: u32) -> VertexState {
+        self.states[vertex as usize]
     }
 
     /// The normal of the triangle to which the state of a vertex refers; `None` for an unused
     /// vertex.
-    pub fn normal_of(&self, spot: VertexState) -> Option<Vec3A> {
-        self.normals.get(spot.triangle() as usize).copied()
+    pub fn normal_of(&self, state: VertexState) -> Option<Vec3A> {
+        self.normals.get(state.triangle() as usize).copied()
     }
 
     /// Sets the state of a removed vertex.
-    pub fn settle(&mut self, vertex: u32, spot: VertexState) {
-        self.spots[vertex as usize] = spot;
+    pub fn set_state(&mut self, vertex: u32, state: VertexState) {
+        self.states[vertex as usize] = state;
     }
 
     /// Whether a vertex is a corner of a triangle.
-    pub fn has(&self, vertex: u32) -> bool {
-        !self.spot(vertex).is_gone()
+    pub fn has_vertex(&self, vertex: u32) -> bool {
+        !self.state(vertex).is_removed()
     }
 
     /// A triangle at `vertex`, which must be a corner of a triangle.
     pub fn at(&self, vertex: u32) -> u32 {
-        self.spot(vertex).triangle()
+        self.state(vertex).triangle()
     }
 
     /// For every vertex, the area-weighted sum of the normals of the triangles around it.
@@ -229,40 +229,41 @@ impl<'a> EditableMesh<'a> {
     /// squared distance, if a search from triangle `from` finds one. The condition on the normals
     /// separates the two sides of a thin sheet. The search goes towards the point, and then visits
     /// connected triangles within the distance, up to a maximum number.
-    pub fn holder(
+    pub fn near_triangle(
         &self,
         from: u32,
         point: Vec3A,
         normal: Vec3A,
         distance: f32,
     ) -> Option<(u32, f32)> {
-        let mut seen = [(NONE, 0.0); PATIENCE];
+        let mut visited = [(NONE, 0.0); MOST_VISITED];
         let mut count = 0;
         let mut least = f32::INFINITY;
         let mut next = [from, NONE, NONE];
-        // Triangles before `done` have been expanded.
-        for done in 0..PATIENCE {
+        // The neighbours of the triangles before index `expanded` have been visited.
+        for expanded in 0..MOST_VISITED {
             for triangle in next {
-                if triangle == NONE || seen[..count].iter().any(|(other, _)| *other == triangle) {
+                if triangle == NONE || visited[..count].iter().any(|(other, _)| *other == triangle)
+                {
                     continue;
                 }
                 let squared = self.squared_distance(triangle, point);
                 if squared <= distance * distance && self.normal(triangle).dot(normal) >= 0.0 {
                     return Some((triangle, squared));
                 }
-                if count == PATIENCE {
+                if count == MOST_VISITED {
                     return None;
                 }
-                seen[count] = (triangle, squared);
+                visited[count] = (triangle, squared);
                 count += 1;
                 least = least.min(squared);
             }
-            let best = (done..count).min_by(|&a, &b| seen[a].1.total_cmp(&seen[b].1))?;
-            if seen[best].1 > (DETOUR * least).max(distance * distance) {
+            let best = (expanded..count).min_by(|&a, &b| visited[a].1.total_cmp(&visited[b].1))?;
+            if visited[best].1 > (DETOUR * least).max(distance * distance) {
                 return None;
             }
-            seen.swap(done, best);
-            next = self.across[seen[done].0 as usize];
+            visited.swap(expanded, best);
+            next = self.across[visited[expanded].0 as usize];
         }
         None
     }
@@ -276,12 +277,12 @@ impl<'a> EditableMesh<'a> {
     /// Whether a path on the surface joins two vertices that are not adjacent. The path is in the
     /// plane that contains `normal` and the line between the vertices. It stays within `distance`
     /// of this line, and crosses no triangle whose normal opposes `normal`.
-    pub fn leads(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
+    pub fn has_path(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
         let (leftward, length) = (cross(normal, ahead), ahead.length_squared());
         let shrink = length.recip();
-        let seen = |vertex: u32| {
+        let with_offset = |vertex: u32| {
             let offset = self.positions[vertex as usize] - start;
             (vertex, offset, leftward.dot(offset))
         };
@@ -289,21 +290,21 @@ impl<'a> EditableMesh<'a> {
             |a: Vec3A, right: f32, b: Vec3A, left: f32| a + (b - a) * (right / (right - left));
         // The current triangle, the side through which the path leaves it, and the ends of that
         // side.
-        let mut way = None;
+        let mut first_crossing = None;
         let mut before = None;
         for triangle in self.star(from) {
             let corners = self.triangles[triangle as usize];
             let corner = self.corner(triangle, from);
-            let a = before.unwrap_or_else(|| seen(corners[NEXT[corner]]));
-            let b = seen(corners[PREVIOUS[corner]]);
+            let a = before.unwrap_or_else(|| with_offset(corners[NEXT[corner]]));
+            let b = with_offset(corners[PREVIOUS[corner]]);
             if a.2 < 0.0 && b.2 >= 0.0 && crossing(a.1, a.2, b.1, b.2).dot(ahead) > 0.0 {
-                way = Some((triangle, NEXT[corner], [a, b]));
+                first_crossing = Some((triangle, NEXT[corner], [a, b]));
                 break;
             }
             before = Some(b);
         }
-        let Some((mut triangle, mut side, mut ends)) = way else { return false };
-        let steps = STEPS_A_CELL * length.sqrt() + STEPS_A_CELL;
+        let Some((mut triangle, mut side, mut ends)) = first_crossing else { return false };
+        let steps = STEPS_PER_CELL * length.sqrt() + STEPS_PER_CELL;
         for _ in 0..steps as usize {
             let [(a, offset, right), (_, left_offset, left)] = ends;
             let offset = crossing(offset, right, left_offset, left);
@@ -322,7 +323,7 @@ impl<'a> EditableMesh<'a> {
             if beyond == to {
                 return true;
             }
-            let beyond = seen(beyond);
+            let beyond = with_offset(beyond);
             let is_left = usize::from(beyond.2 >= 0.0);
             ends[is_left] = beyond;
             side = [NEXT[corner], corner][is_left];
@@ -341,8 +342,8 @@ impl<'a> EditableMesh<'a> {
 
     /// The triangles of the patch around a vertex, in counter-clockwise order.
     pub fn incident(&self, vertex: u32) -> impl Iterator<Item = Incident> {
-        let spot = self.spot(vertex);
-        let start = if spot.is_gone() { NONE } else { spot.triangle() };
+        let state = self.state(vertex);
+        let start = if state.is_removed() { NONE } else { state.triangle() };
         let mut next = start;
         std::iter::from_fn(move || {
             let triangle = (next != NONE).then_some(next)?;
@@ -364,7 +365,7 @@ impl<'a> EditableMesh<'a> {
     }
 
     /// The neighbouring triangles, or `NONE`.
-    pub fn beside(&self, triangle: u32) -> [u32; 3] {
+    pub fn neighbours(&self, triangle: u32) -> [u32; 3] {
         self.across[triangle as usize]
     }
 
@@ -409,8 +410,8 @@ impl<'a> EditableMesh<'a> {
         // triangle that replaces it.
         for (vertex, to) in [(target, rightmost), (right, rightmost), (left, leftmost)] {
             let at = self.at(vertex);
-            let is_gone = (at == ring[0].triangle) | (at == ring[last].triangle);
-            self.spots[vertex as usize] = VertexState::corner(if is_gone { to } else { at });
+            let is_removed = (at == ring[0].triangle) | (at == ring[last].triangle);
+            self.states[vertex as usize] = VertexState::corner(if is_removed { to } else { at });
         }
     }
 
@@ -440,12 +441,12 @@ impl<'a> EditableMesh<'a> {
             [vertex, left, target],
             [leftmost, beyond_left, ring[0].triangle],
         );
-        self.spots[vertex as usize] = VertexState::corner(ring[0].triangle);
+        self.states[vertex as usize] = VertexState::corner(ring[0].triangle);
         for (vertex, at, to) in
             [(target, rightmost, ring[0].triangle), (left, leftmost, ring[last].triangle)]
         {
             if self.at(vertex) == at {
-                self.spots[vertex as usize] = VertexState::corner(to);
+                self.states[vertex as usize] = VertexState::corner(to);
             }
         }
     }

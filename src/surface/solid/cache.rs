@@ -14,8 +14,8 @@ use crate::grid::{Grid, Periodic, TILE};
 
 /// Number of cells in a cube.
 pub const CELLS: usize = (TILE * TILE * TILE) as usize;
-/// Upper limit, in bytes, on the memory of a kept cube, including its share of the cache's tables,
-/// but without individual distances of its cells.
+/// Upper limit, in bytes, on the memory of a cached cube, including its share of the cache's
+/// tables, but without individual distances of its cells.
 const CUBE_BYTES: u64 = 208;
 /// Upper limit, in bytes, on the memory of individual distances of all cells in a cube.
 const EACH_BYTES: u64 = 160;
@@ -98,7 +98,7 @@ impl DistanceCache {
         Self { lattices: Mutex::default(), cubes }
     }
 
-    /// Maximum memory of the kept distances, in bytes.
+    /// Maximum memory of the cached distances, in bytes.
     pub fn most_bytes(&self) -> u64 {
         self.cubes.capacity()
     }
@@ -113,7 +113,7 @@ impl DistanceCache {
         if known.len() == MOST_LATTICES {
             known.pop_front();
         }
-        // A number is never reused, because cubes of its lattice may still be kept.
+        // A number is never reused, because cubes of its lattice may still be in the cache.
         known.push_back((*next, *lattice));
         *next += 1;
         *next - 1
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn each_cube_is_computed_once_per_lattice_and_forgotten_when_too_many_are_kept() {
+    fn each_cube_is_computed_once_per_lattice_until_it_is_evicted() {
         const MOST_BYTES: u64 = 1 << 20;
         let cache = DistanceCache::new(MOST_BYTES);
         let new = RefCell::new(Vec::new());

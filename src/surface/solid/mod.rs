@@ -70,7 +70,7 @@ pub struct Solid {
     triangles: u64,
     turned: Vec<usize>,
     thickness: Vec<f64>,
-    known: DistanceCache,
+    cache: DistanceCache,
 }
 
 impl Solid {
@@ -85,7 +85,7 @@ impl Solid {
             triangles: 0,
             turned: Vec::new(),
             thickness: Vec::new(),
-            known: DistanceCache::new(0),
+            cache: DistanceCache::new(0),
         };
         for (number, mesh) in meshes.into_iter().enumerate() {
             if !is_closed(&mesh) {
@@ -107,7 +107,7 @@ impl Solid {
     /// Keeps computed distances in a cache of at most `bytes` bytes.
     #[must_use]
     pub fn keeping_distances(self, bytes: u64) -> Self {
-        Self { known: DistanceCache::new(bytes), ..self }
+        Self { cache: DistanceCache::new(bytes), ..self }
     }
 
     /// The distance between the fluid and the solid, in spacings.
@@ -132,7 +132,7 @@ impl Solid {
     /// Maximum memory of the solid, in bytes.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        self.triangles * TRIANGLE_BYTES + self.known.most_bytes()
+        self.triangles * TRIANGLE_BYTES + self.cache.most_bytes()
     }
 
     /// Whether `cells`, which are 2^`level` times as wide as the grid's cells, may contain a part
@@ -146,7 +146,7 @@ impl Solid {
         cells: CellBox,
     ) -> bool {
         let (lo, hi) = corners(grid, level, cells);
-        self.copies(periodic).any(|copy| copy.meets(lo, hi) || copy.winds((lo + hi) / 2.0))
+        self.copies(periodic).any(|copy| copy.meets(lo, hi) || copy.contains((lo + hi) / 2.0))
     }
 
     /// Signed distances of the centres of `cells`, which are 2^`level` times as wide as the grid's
@@ -164,19 +164,19 @@ impl Solid {
     ) -> Block<i16> {
         let lattice =
             DistanceLattice { grid: *grid, periodic: periodic.copied(), level, step, most };
-        let number = self.known.number(&lattice);
+        let number = self.cache.number(&lattice);
         let mut distances = Block::zero(cells);
         for wide in cells.cubes(WIDE) {
             let part = CellBox::cube(wide, WIDE).intersection(&cells);
-            let near = self.near(&lattice, part.tiled());
-            if let Some(distance) = near.same(&lattice) {
+            let near = self.near_meshes(&lattice, part.tiled());
+            if let Some(distance) = near.common_distance(&lattice) {
                 distances.fill(part, distance);
                 continue;
             }
             for cube in part.cubes(TILE) {
                 let in_cube = CellBox::cube(cube, TILE);
                 let found =
-                    self.known.get_or_make(number, cube, || near.distances(&lattice, in_cube));
+                    self.cache.get_or_make(number, cube, || near.distances(&lattice, in_cube));
                 let part = in_cube.intersection(&part);
                 distances.put_part(part, in_cube, &found.each(), |_, distance| distance);
             }
@@ -185,13 +185,13 @@ impl Solid {
     }
 
     /// The meshes and copies that determine the distances of `cells`.
-    fn near(&self, lattice: &DistanceLattice, cells: CellBox) -> NearMeshes<'_> {
+    fn near_meshes(&self, lattice: &DistanceLattice, cells: CellBox) -> NearMeshes<'_> {
         let (lo, hi) = lattice.corners(cells);
         let farthest = lattice.farthest();
         let copies = self.copies(lattice.periodic.as_ref());
         let (near, far): (Vec<_>, Vec<_>) =
             copies.partition(|copy| copy.meets(lo - farthest, hi + farthest));
-        let is_inside = far.iter().any(|copy| copy.winds((lo + hi) / 2.0));
+        let is_inside = far.iter().any(|copy| copy.contains((lo + hi) / 2.0));
         NearMeshes { near, is_inside }
     }
 
@@ -247,7 +247,7 @@ struct NearMeshes<'a> {
 impl NearMeshes<'_> {
     /// Returns the common distance of all cells if the box is inside a mesh without triangles near
     /// the box, or if no mesh has a triangle near the box.
-    fn same(&self, lattice: &DistanceLattice) -> Option<i16> {
+    fn common_distance(&self, lattice: &DistanceLattice) -> Option<i16> {
         let is_far = self.is_inside || self.near.is_empty();
         is_far.then_some(if self.is_inside { -lattice.most } else { lattice.most })
     }
@@ -275,18 +275,19 @@ struct PlacedMesh<'a> {
 }
 
 impl PlacedMesh<'_> {
-    /// Whether the box from `lo` to `hi` meets the bounding box of a few neighbouring triangles.
+    /// Like [`TriangleTree::meets`], for the displaced mesh.
     fn meets(&self, lo: DVec3, hi: DVec3) -> bool {
         self.mesh.meets(lo - self.shift, hi - self.shift)
     }
 
-    /// Whether the mesh has a nonzero winding number around a place.
-    fn winds(&self, place: DVec3) -> bool {
-        self.winds_around(place - self.shift)
+    /// Whether a place is inside the mesh: the winding number around the place is not zero.
+    fn contains(&self, place: DVec3) -> bool {
+        self.contains_local(place - self.shift)
     }
 
-    /// Like [`winds`](Self::winds), for a place in the mesh's own coordinates, without `shift`.
-    fn winds_around(&self, place: DVec3) -> bool {
+    /// Like [`contains`](Self::contains), for a place in the mesh's own coordinates, without
+    /// `shift`.
+    fn contains_local(&self, place: DVec3) -> bool {
         self.mesh.winding_number(place) != 0
     }
 
@@ -305,7 +306,7 @@ impl PlacedMesh<'_> {
         let to_corner = f64::from(TILE - 1) * width * 0.5 * 3_f64.sqrt();
         let Some((of_middle, nearest)) = self.mesh.distance_within(middle, farthest + to_corner)
         else {
-            return [if self.winds_around(middle) { -most } else { most }; CELLS];
+            return [if self.contains_local(middle) { -most } else { most }; CELLS];
         };
         let reach = (of_middle + to_corner).min(farthest);
         let triangles = self.mesh.vicinity(centre(0), centre(CELLS - 1), reach);
@@ -322,9 +323,9 @@ impl PlacedMesh<'_> {
         // Distances inside the mesh are negative.
         let are_inside = if of_middle > to_corner * (1.0 + 1e-9) {
             // No triangle is between the middle of the cube and its cells.
-            [self.winds_around(middle); CELLS]
+            [self.contains_local(middle); CELLS]
         } else {
-            are_inside(&distances, width, |cell| self.winds_around(centre(cell)))
+            are_inside(&distances, width, |cell| self.contains_local(centre(cell)))
         };
         std::array::from_fn(|cell| {
             // Rounds to the nearest integer.
@@ -503,7 +504,7 @@ mod tests {
     }
 
     #[test]
-    fn solid_distances_are_independent_of_the_box_of_cells_and_of_kept_distances() {
+    fn solid_distances_do_not_depend_on_the_request_or_the_cache() {
         let boxes = || {
             let turned = turned_box(DVec3::splat(-1.0), DVec3::splat(1.1), 0.4);
             let beside = turned_box(DVec3::new(0.8, -4.0, -4.0), DVec3::splat(4.0), 0.0);

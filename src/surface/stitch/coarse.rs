@@ -83,7 +83,7 @@ impl<'a> CoarseMesh<'a> {
     }
 
     /// Collects the remaining triangles of a piece.
-    fn triangles_left<T>(
+    fn remaining_triangles<T>(
         &self,
         piece: usize,
         of: impl Fn(u64) -> T + Copy,
@@ -127,7 +127,7 @@ impl MeshSource for CoarseMesh<'_> {
     }
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
-        self.triangles_left(piece, |vertex| vertex)
+        self.remaining_triangles(piece, |vertex| vertex)
     }
 
     fn at_once(&self) -> io::Result<Option<Indexed>> {
@@ -141,7 +141,7 @@ impl MeshSource for CoarseMesh<'_> {
             .enumerate()
             .map(|(piece, to)| {
                 self.place(&*self.fine.spool.get(piece)?, to);
-                self.triangles_left(piece, |vertex| vertex as u32)
+                self.remaining_triangles(piece, |vertex| vertex as u32)
             })
             .collect::<io::Result<_>>()?;
         Ok(Some((positions, left.concat())))

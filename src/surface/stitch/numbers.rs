@@ -20,7 +20,7 @@ use super::coarse::CoarseMesh;
 const EDGE: usize = BLOCK as usize + 1;
 
 /// Approximate ratio of triangles to vertices of a closed surface.
-const TRIANGLES_A_VERTEX: u64 = 2;
+const TRIANGLES_PER_VERTEX: u64 = 2;
 /// Memory, in bytes per triangle of a block, for a thread that writes the block: three vertex
 /// numbers, and 13-byte records for four blocks.
 const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
@@ -29,7 +29,7 @@ const TRIANGLE_BYTES: u64 = 24 + 4 * 13;
 /// block. These blocks have `vertices` vertices in total.
 pub fn writing_bytes(threads: u64, vertices: u64) -> u64 {
     let numbers = (3 * EDGE.pow(3) * size_of::<u64>()) as u64;
-    threads * numbers + vertices * TRIANGLES_A_VERTEX * TRIANGLE_BYTES
+    threads * numbers + vertices * TRIANGLES_PER_VERTEX * TRIANGLE_BYTES
 }
 
 /// The numbers of the vertices on the dual edges that a block's triangles use. Other entries are

@@ -69,10 +69,10 @@ on_every_backend! {
         changing_cell_size_and_origin_scales_and_moves_the_mesh;
     periodic:
         a_periodic_mesh_equals_the_mesh_of_repeated_particles
-        a_full_periodic_box_has_its_faces_as_surface
+        the_surface_of_a_full_periodic_box_is_its_faces
         a_periodic_mesh_is_the_same_on_every_backend;
     sampled:
-        the_plateau_of_sampled_blocks_is_that_of_the_whole_pool;
+        the_plateau_of_sampled_blocks_equals_that_of_the_whole_pool;
     surfaces:
         known_shapes_have_their_genus_and_volume
         the_normals_of_a_sphere_point_outwards
@@ -88,7 +88,7 @@ on_every_backend! {
         splashes_are_watertight_for_all_indicators_filters_and_walls
         a_half_full_tank_ends_exactly_at_its_walls_and_keeps_its_volume
         the_surface_of_a_full_tank_is_its_walls
-        distant_drops_need_memory_only_for_themselves
+        memory_does_not_depend_on_the_distance_between_drops
         a_lone_particle_is_a_closed_drop_unless_the_isovalue_is_too_high
         a_million_coincident_particles_become_one_drop_or_an_error
         attributes_are_interpolated_smoothly_for_any_particle_order;

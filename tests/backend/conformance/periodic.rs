@@ -103,7 +103,7 @@ pub fn a_periodic_mesh_equals_the_mesh_of_repeated_particles(backend: &TestBacke
     }
 }
 
-pub fn a_full_periodic_box_has_its_faces_as_surface(backend: &TestBackend) {
+pub fn the_surface_of_a_full_periodic_box_is_its_faces(backend: &TestBackend) {
     // The box is so large that blocks deep in it are skipped, and its faces are not cell faces.
     let edge = 61.3;
     let steps = || (0..61).map(|i| (f64::from(i) + 0.5) * edge / 61.0);

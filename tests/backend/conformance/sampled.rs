@@ -28,7 +28,7 @@ fn frame(backend: &TestBackend, indicator: IndicatorKind) -> (Engine, IVec3) {
     (frame, pool.as_ivec3())
 }
 
-pub fn the_plateau_of_sampled_blocks_is_that_of_the_whole_pool(backend: &TestBackend) {
+pub fn the_plateau_of_sampled_blocks_equals_that_of_the_whole_pool(backend: &TestBackend) {
     for indicator in [IndicatorKind::Symmetry, IndicatorKind::Counting] {
         let (frame, pool) = frame(backend, indicator);
         let blocks = dif(&frame).dif.regions(0, 0).len();

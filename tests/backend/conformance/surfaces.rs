@@ -344,7 +344,7 @@ pub fn a_tank_in_fine_cells_ends_at_its_walls_for_any_wide_cell_offset(backend: 
             let found = measure(&mesh);
             let ([low, high], volume) = (found.bounds.unwrap(), found.volume.unwrap());
             assert_eq!((low, high[0], high[2]), ((-walls).to_array(), 8.0, 8.0), "{what}");
-            // The surface may rise near the walls, because wide cells that cross a wall hold a
+            // The surface may rise near the walls, because wide cells that cross a wall contain a
             // mirror image of the fluid beyond it.
             println!("{what}: {}, up to {}", volume / 2048.0, high[1]);
             assert!(
@@ -445,7 +445,7 @@ pub fn the_surface_of_a_full_tank_is_its_walls(backend: &TestBackend) {
     }
 }
 
-pub fn distant_drops_need_memory_only_for_themselves(backend: &TestBackend) {
+pub fn memory_does_not_depend_on_the_distance_between_drops(backend: &TestBackend) {
     let drop = fill(10.0, 2.0, 0.3, 4, |p| p.length() < 6.0);
     let far = |shift: DVec3| drop.iter().map(move |&p| (DVec3::from(p) + shift).to_array());
     let shift = DVec3::new(1e6, -1e6, 5e5);

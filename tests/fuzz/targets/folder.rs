@@ -15,7 +15,7 @@ fn in_memory() -> Option<TempDir> {
     tempfile::tempdir_in("/dev/shm").ok()
 }
 
-/// The path of a name in this thread's folder.
+/// The path of a file with this name in this thread's folder.
 pub fn path(name: &str) -> PathBuf {
     FOLDER.with(|folder| folder.path().join(name))
 }

@@ -101,11 +101,11 @@ fn read(format: MeshFormat, data: &[u8]) {
     assert!(mesh.attributes.iter().all(|a| a.values.len() == a.components * vertices));
     assert!(!check(&mesh).to_string().is_empty());
     let _ = measure(&mesh);
-    let again = round(MeshFormat::Ply, &mesh);
+    let again = round_trip(MeshFormat::Ply, &mesh);
     assert!(again.triangles == mesh.triangles && bits(&again.positions) == bits(&mesh.positions));
 }
 
-/// Lists the grids of a .vdb file. All grids must lie within the file.
+/// Lists the grids of a .vdb file. Each grid must account for at least 32 bytes of the file.
 fn grids(data: &[u8]) {
     match read_grids(data.into()) {
         Ok(grids) => assert!(32 * grids.len() <= data.len(), "too many grids for the file's size"),
@@ -144,10 +144,12 @@ fn bits(positions: &[[f64; 3]]) -> Vec<u64> {
 }
 
 /// Writes a mesh, and reads it again.
-fn round(format: MeshFormat, mesh: &Mesh) -> Mesh {
+fn round_trip(format: MeshFormat, mesh: &Mesh) -> Mesh {
     let mut bytes = Vec::new();
     format.write(&mut bytes, mesh, CoordinateWidth::F64).unwrap();
-    format.read(&bytes).unwrap_or_else(|fault| panic!("{format}, as we wrote it: {fault}"))
+    format
+        .read(&bytes)
+        .unwrap_or_else(|fault| panic!("{format} cannot read the mesh that it wrote: {fault}"))
 }
 
 /// The mesh formats that store the names of attributes.
@@ -166,7 +168,7 @@ fn written_and_read(data: &[u8]) {
     };
     let mut mesh = mesh();
     mesh.attributes = names.split('\t').zip([1, 3, 2, 4, 9]).map(attribute).collect();
-    let again = round(format, &mesh);
+    let again = round_trip(format, &mesh);
     assert_eq!(
         (&again.positions, &again.triangles),
         (&mesh.positions, &mesh.triangles),

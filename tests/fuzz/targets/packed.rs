@@ -35,7 +35,7 @@ pub fn targets() -> Vec<Target> {
         Target {
             name: "mnf-surface",
             runs: 100,
-            run: |data| draw(&built(data)),
+            run: |data| check_surface(&built(data)),
             seeds: plain,
             words: &[],
         },
@@ -66,12 +66,12 @@ fn layout(bytes: &[u8]) -> Option<(usize, usize)> {
     let footer = usize::try_from(u64_at(bytes, tail)?)
         .ok()
         .filter(|footer| (HEADER..tail).contains(footer))?;
-    let index = footer + FACTS + further(u32_at(bytes, footer + 32)?) + 8;
+    let index = footer + FACTS + optional_size(u32_at(bytes, footer + 32)?) + 8;
     (index <= tail).then_some((footer, index))
 }
 
 /// The size, in bytes, of the parts of the footer that depend on its flags.
-fn further(flags: u32) -> usize {
+fn optional_size(flags: u32) -> usize {
     [(2, PERIODIC), (4, SIZES)]
         .iter()
         .filter(|(flag, _)| flags & flag != 0)
@@ -104,7 +104,7 @@ fn seal_footer(bytes: &mut [u8], footer: usize) {
     bytes[tail + 8..tail + 12].copy_from_slice(&hasher.finalize().to_le_bytes());
 }
 
-/// Builds a frame from unpacked bytes: the version, the brick side and the footer, and for each
+/// Builds a frame from uncompressed bytes: the version, the brick side and the footer, and for each
 /// page its key, bricks, full cells, box and field, and the length and the bytes of its planes.
 fn built(plain: &[u8]) -> Vec<u8> {
     let mut rest = plain;
@@ -118,7 +118,7 @@ fn built(plain: &[u8]) -> Vec<u8> {
     let [version, side] = [take(1)[0], take(1)[0]];
     let mut footer = take(FACTS);
     let flags = u32_at(&footer, 32).unwrap_or_default();
-    footer.extend(take(further(flags)));
+    footer.extend(take(optional_size(flags)));
     let mut bytes = MAGIC.to_vec();
     bytes.extend(u32::from(version).to_le_bytes());
     bytes.extend(u32::from(side).to_le_bytes());
@@ -185,7 +185,7 @@ fn open(bytes: &[u8]) {
 
 /// Computes the surface of a frame. The surface must be closed, oriented and manifold, unless there
 /// is an error.
-fn draw(bytes: &[u8]) {
+fn check_surface(bytes: &[u8]) {
     let path = folder::file("b.mnf", bytes);
     let request = Reconstruction::new().threads(1).scratch(std::env::temp_dir());
     let surface = request.run_file(&path);

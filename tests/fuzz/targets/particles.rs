@@ -20,7 +20,7 @@ use super::build::{self, Bi4, VtkXml, tuples};
 use super::{Target, meshes};
 
 /// Maximum number of attributes that are read from a file.
-const MOST_ATTRIBUTES: usize = 20;
+const MAX_ATTRIBUTES: usize = 20;
 
 pub fn targets() -> Vec<Target> {
     vec![
@@ -322,7 +322,7 @@ pub fn read_through(read: Result<ParticleFile, ReadFault>) {
         positions.as_flattened().iter().map(|x| x.to_bits()).collect()
     };
     assert_eq!(bits(&all[half..]), bits(&rest), "positions differ when they are read again");
-    for (index, info) in particles.attributes().iter().enumerate().take(MOST_ATTRIBUTES) {
+    for (index, info) in particles.attributes().iter().enumerate().take(MAX_ATTRIBUTES) {
         let (mut all, mut rest) = (
             vec![0.0_f32; count * info.components],
             vec![0.0_f32; (count - half) * info.components],

@@ -27,7 +27,7 @@ pub fn targets() -> Vec<Target> {
     ]
 }
 
-fn asked() -> Reconstruction {
+fn request() -> Reconstruction {
     Reconstruction::new().spacing(1.0).cell(1.0).threads(1)
 }
 
@@ -36,7 +36,7 @@ const NAMES: [&str; 3] = ["plan.json", "part_0", "part_1"];
 
 fn parts() -> (Parts, PathBuf) {
     let [input, output] = ["in.xyz", "out.ply"].map(folder::path);
-    (asked().parts(input, output, 2), folder::path("out.ply.meniscus-parts"))
+    (request().parts(input, output, 2), folder::path("out.ply.meniscus-parts"))
 }
 
 /// A frame in two parts, and its mesh.
@@ -73,9 +73,9 @@ fn fresh() -> (Parts, PathBuf) {
 fn damaged(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     thread_local! {
-        static HERE: () = drop(fresh());
+        static WRITTEN: () = drop(fresh());
     }
-    HERE.with(|()| ());
+    WRITTEN.with(|()| ());
     let Whole { files, positions } = whole();
     let (parts, folder) = parts();
     let which = usize::from(choice & 3) % NAMES.len();
@@ -106,7 +106,8 @@ fn seeds() -> Vec<Vec<u8>> {
         .to_vec()
 }
 
-/// Meshes random particles in one to six parts. The mesh must equal the mesh of a single run.
+/// Meshes random particles in one to six parts. The mesh must equal the mesh of a single run, or
+/// both must fail with the same cause.
 fn merged(data: &[u8]) {
     let Some(([count, scale], data)) = data.split_first_chunk::<2>() else { return };
     let scale = [0.02, 0.1, 1.0, 40.0][usize::from(scale & 3)];
@@ -119,8 +120,8 @@ fn merged(data: &[u8]) {
         .collect();
     let input = folder::file("random.xyz", &build::raw(&particles));
     let parts =
-        asked().parts(&input, folder::path("random.ply"), u32::from(count % 6) + 1).overwrite();
-    let single = asked().run_file(&input);
+        request().parts(&input, folder::path("random.ply"), u32::from(count % 6) + 1).overwrite();
+    let single = request().run_file(&input);
     let merged = parts.plan().and_then(|planned| {
         (0..planned.parts.len() as u32).rev().try_for_each(|part| parts.part(part).map(drop))?;
         parts.merge()

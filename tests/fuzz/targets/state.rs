@@ -4,7 +4,7 @@ use std::fs;
 
 use meniscus::files::FrameFile;
 use meniscus::internals::io::output::MeshFormat;
-use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::io::scene::spacing_from_scene;
 use meniscus::internals::settings::StoredSettings;
 use meniscus::internals::simulation::records::Records;
 use meniscus::internals::simulation::state::StateFolder;
@@ -77,7 +77,7 @@ fn records(data: &[u8]) {
     for number in [-1, 0, 1, 2, i64::MAX] {
         let frame = FrameFile::new(number, number.to_string(), here.clone());
         if let Some(record) = before.of(&frame, &here, 5) {
-            store.log.keep(record).unwrap();
+            store.log.append(record).unwrap();
             assert!(Records::read(&folder) == before, "adding a record again changes the records");
             let _ = record.is_whole(&here);
         }
@@ -103,11 +103,11 @@ fn state(data: &[u8]) {
     }
 }
 
-/// Reads the spacing from a scene file. It must be a valid length, or unknown.
+/// Reads the spacing from a scene file. The spacing must be positive and finite, or unknown.
 fn scene(name: &str, data: &[u8]) {
     let folder = folder::empty("scene");
     fs::write(folder.join(name), data).unwrap();
-    if let Some((spacing, path)) = spacing_beside(&folder.join("a.bgeo")) {
+    if let Some((spacing, path)) = spacing_from_scene(&folder.join("a.bgeo")) {
         assert!(spacing.is_finite() && spacing > 0.0, "{spacing}");
         assert_eq!(path, folder.join(name));
     }

@@ -101,8 +101,8 @@ fn streams() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Reads an .npz archive with correct checksums. In `data`, the length of each array precedes the
-/// array, and takes two bytes.
+/// Reads an .npz archive with correct checksums. In `data`, the first byte selects the compression.
+/// The length of each array precedes the array, and takes two bytes.
 fn run_npz(data: &[u8]) {
     let Some((choice, mut data)) = data.split_first() else { return };
     let mut arrays = Vec::new();
@@ -124,8 +124,8 @@ fn arrays() -> Vec<Vec<u8>> {
     arrays.chunks(2).map(pair).collect()
 }
 
-/// Reads a VTK file whose blocks are compressed with zlib, LZ4 or LZMA. The first bytes define the
-/// lengths of blocks.
+/// Reads a VTK file whose blocks are compressed with zlib, LZ4 or LZMA. The first eight bytes
+/// select the value type, the compression, the number of points and the lengths of blocks.
 fn run_blocks(data: &[u8]) {
     let Some((head, data)) = data.split_first_chunk::<8>() else { return };
     let [kind, points, block, last, count, ..] = *head;
@@ -185,8 +185,8 @@ fn blocks() -> Vec<Vec<u8>> {
     .to_vec()
 }
 
-/// Runs `info` on a file, which the library maps into memory as in the program. The first byte
-/// selects the extension.
+/// Gets the `info` of a file, which the library maps into memory as it does for the program. Also
+/// lists the steps of the file and reads its frame 0. The first byte selects the extension.
 fn run_info(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let names = [

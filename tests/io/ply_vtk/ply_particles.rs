@@ -242,14 +242,14 @@ fn invalid_ply_files_are_refused_with_the_reason() {
             "line 9: expected a number, found \"two\"",
         ),
         (header("element vertex -1\n"), "line 3: \"-1\" is not a count"),
-        (header("property float x\n"), "line 3: a property has no element"),
+        (header("property float x\n"), "line 3: a property precedes the first element"),
         (
             header("element vertex 1\nproperty quad x\n"),
             "line 4: \"property quad x\" is not a valid property",
         ),
         ("ply\nformat ascii 2.0\n".into(), "line 2"),
         ("ply\nformat text 1.0\n".into(), "line 2: format \"text\""),
-        ("ply\nend_header\n".into(), "line 2: the header names no format"),
+        ("ply\nend_header\n".into(), "line 2: the header does not name a format"),
         ("plyer\n".into(), "line 1"),
     ];
     for (text, reason) in refused {

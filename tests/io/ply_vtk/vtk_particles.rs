@@ -407,7 +407,7 @@ fn inconsistent_cell_counts_are_refused() {
                         &flags,
                         "VERTICES 6 12",
                         "VERTICES 7 12",
-                        "7 cells of one point have 12 numbers",
+                        "7 vertex cells need two numbers each, but the file has 12",
                     );
                     let huge = "VERTICES 9223372036854775814 12";
                     assert_refused(

@@ -13,7 +13,7 @@ use super::components::{Count, components};
 use super::lines::{Board, Line, Lost, Points, cell_name};
 use super::programs::{Method, Program};
 use crate::meshes::{sphere, torus};
-use crate::sample::{Lattice, fill, place};
+use crate::sample::{Lattice, fill, unit_cube_point};
 use crate::shapes::Solid;
 use crate::tables::{figure, mean};
 use crate::{Options, Outcome};
@@ -30,9 +30,9 @@ const BALLS: usize = 8;
 
 /// The lattice with this number, which determines its rotation, position and jitter.
 pub fn lattice(number: usize, jitter: f64) -> Lattice {
-    let axis = (place(number) - 0.5).normalize();
+    let axis = (unit_cube_point(number) - 0.5).normalize();
     let turn = DQuat::from_axis_angle(axis, 1.0 + number as f64);
-    Lattice { shift: place(number), turn, jitter, inset: 0.0, seed: number as u64 }
+    Lattice { shift: unit_cube_point(number), turn, jitter, inset: 0.0, seed: number as u64 }
 }
 
 /// The mean distance between two meshes, averaged over both directions, and the Hausdorff distance.

@@ -8,15 +8,15 @@ use super::bodies::JITTER;
 use super::components::{Component, Count, components, handles};
 use super::heights::Columns;
 use super::lines::{Board, Line, Lost, Points, cell_name};
-use crate::sample::{cuboid, place};
+use crate::sample::{cuboid, unit_cube_point};
 use crate::scene::Random;
 use crate::tables::mean;
 use crate::{Options, Outcome};
 
 /// Cell sizes, in spacings, from fine to coarse.
 pub const CELLS: [f64; 4] = [0.25, 0.333, 0.5, 0.667];
-/// Vertical distance between objects above a bulk, in spacings.
-const STOREY: f64 = 12.0;
+/// Vertical distance between sheets above a bulk, in spacings.
+const SHEET_DISTANCE: f64 = 12.0;
 const SHEETS: [(&str, i32, f64); 4] = [
     ("1 layer", 1, 1.0),
     ("2 layers", 2, 1.0),
@@ -152,17 +152,17 @@ fn sheets() -> Points {
     for (n, (_, layers, stretch)) in SHEETS.into_iter().enumerate() {
         let sheet = cuboid(IVec3::ZERO, IVec3::new(WIDTH, layers, WIDTH), JITTER, &mut random);
         let sheet = sheet.into_iter().map(|[x, y, z]| [stretch * x, y, stretch * z]).collect();
-        particles.extend(moved(sheet, place(n) + STOREY * n as f64 * DVec3::Y));
+        particles.extend(moved(sheet, unit_cube_point(n) + SHEET_DISTANCE * n as f64 * DVec3::Y));
     }
     particles
 }
 
 fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -> [String; 2] {
-    let middle = STOREY * number as f64 + 1.0;
+    let middle = SHEET_DISTANCE * number as f64 + 1.0;
     let near = |triangle: &&[u32; 3]| {
-        triangle
-            .iter()
-            .all(|&vertex| (mesh.positions[vertex as usize][1] - middle).abs() < STOREY / 2.0)
+        triangle.iter().all(|&vertex| {
+            (mesh.positions[vertex as usize][1] - middle).abs() < SHEET_DISTANCE / 2.0
+        })
     };
     let triangles = mesh.triangles.iter().filter(near).copied().collect();
     let sheet = Mesh { positions: mesh.positions.clone(), triangles, ..Mesh::default() };
@@ -176,7 +176,7 @@ fn sheet_texts(mesh: &Mesh, number: usize, &(_, layers, _): &(&str, i32, f64)) -
 
 /// The position of a chain's base, on top of the bulk.
 fn foot(gap: usize, chain: usize) -> DVec3 {
-    let off = place(CHAINS * gap + chain);
+    let off = unit_cube_point(CHAINS * gap + chain);
     APART * DVec3::new(1.0 + chain as f64, 0.0, 1.0 + gap as f64) + DVec3::new(off.x, -0.5, off.z)
 }
 
@@ -246,7 +246,7 @@ fn drops(bulk: bool) -> Points {
     for (n, size) in SIZES.into_iter().enumerate() {
         for number in 0..DROPS * DROPS {
             let drop = cuboid(IVec3::ZERO, size, JITTER, &mut random);
-            particles.extend(moved(drop, drop_place(n, number) + place(number)));
+            particles.extend(moved(drop, drop_place(n, number) + unit_cube_point(number)));
         }
     }
     particles
@@ -270,7 +270,7 @@ fn drop_text(found: &[Component], size: usize) -> String {
 /// The centre of an air bubble, given the index of its radius and the bubble's number.
 fn air_place(radius: usize, ball: usize) -> DVec3 {
     DVec3::new(8.0 + 12.0 * ball as f64, 10.0, 8.0 + 12.0 * radius as f64)
-        + place(BALLS * radius + ball)
+        + unit_cube_point(BALLS * radius + ball)
 }
 
 fn air() -> Points {

@@ -89,7 +89,7 @@ mod tests {
     use crate::meshes::{cuboid, moved, union};
 
     #[test]
-    fn a_box_with_a_bubble_beside_another_are_two_components_and_a_bubble() {
+    fn bubbles_are_counted_separately_from_components() {
         let mut bubble = cuboid([1.0; 3], [2.0; 3]);
         bubble.triangles.iter_mut().for_each(|triangle| triangle.swap(0, 1));
         let hollow = union(&cuboid([0.0; 3], [3.0; 3]), &bubble);

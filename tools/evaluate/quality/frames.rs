@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3, IVec2};
 use meniscus::internals::field::spacing::estimate;
 use meniscus::internals::io::bytes::Unpacking;
 use meniscus::internals::io::input::{is_known, open_particles};
-use meniscus::internals::io::scene::spacing_beside;
+use meniscus::internals::io::scene::spacing_from_scene;
 use meniscus::internals::particles::{Particles, velocity_attribute};
 use meniscus::internals::surface::mesh::Mesh;
 
@@ -48,8 +48,10 @@ impl Frame {
     pub fn read(path: &Path, name: String) -> Outcome<Self> {
         let file = open_particles(path, Unpacking::in_memory())?;
         let particles = &file.particles;
-        let known =
-            file.spacing.or_else(|| Some(spacing_beside(path)?.0)).or_else(|| estimate(particles));
+        let known = file
+            .spacing
+            .or_else(|| Some(spacing_from_scene(path)?.0))
+            .or_else(|| estimate(particles));
         let spacing =
             known.ok_or_else(|| format!("{}: the spacing is not known", path.display()))?;
         let mut points = vec![[0.0; 3]; particles.len()];
@@ -230,7 +232,7 @@ mod tests {
     use glam::IVec3;
 
     #[test]
-    fn a_pool_is_calm_but_for_its_ends_and_where_a_drop_hangs_above_it() {
+    fn a_pool_is_calm_except_at_its_edges_and_below_a_drop() {
         let mut points = cuboid(IVec3::ZERO, IVec3::new(60, 8, 40), 0.3, &mut Random::new(1));
         points.push([45.0, 20.0, 20.0]);
         let frame = Frame { name: String::new(), points, directions: Vec::new() };

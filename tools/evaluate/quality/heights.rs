@@ -130,7 +130,7 @@ mod tests {
     use crate::meshes::sphere;
 
     #[test]
-    fn a_ball_is_as_high_as_a_ball_and_hides_what_it_stands_on() {
+    fn tops_of_a_ball_have_its_heights_and_slopes() {
         let columns = Columns::over(DVec2::splat(-2.0), DVec2::splat(2.0));
         let tops = columns.tops(&sphere(1.5, 5));
         for (n, top) in tops.iter().enumerate() {
@@ -145,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn a_plane_has_nothing_that_a_gaussian_does_not_take_and_short_waves_stay() {
+    fn subtracting_the_gaussian_removes_planes_and_keeps_short_waves() {
         let columns = Columns::over(DVec2::ZERO, DVec2::splat(40.0));
         let middle = columns.nearest(DVec2::splat(20.25)).unwrap();
         let left = |height: &dyn Fn(DVec2) -> f64| {

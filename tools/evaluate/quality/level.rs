@@ -9,7 +9,7 @@ use super::bodies::JITTER;
 use super::components::{Count, components};
 use super::heights::{Columns, Top};
 use super::lines::{Board, Line, Lost, Points, cell_name};
-use crate::sample::{cuboid, place};
+use crate::sample::{cuboid, unit_cube_point};
 use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
 use crate::{Options, Outcome};
@@ -31,7 +31,7 @@ fn pool(jitter: f64, seed: usize, top: i32) -> Points {
 
 /// The height of a pool's top. Each seed gives a different position within a cell.
 fn height(seed: usize) -> f64 {
-    place(seed).y
+    unit_cube_point(seed).y
 }
 
 /// A grid over the middle of a pool, which is `along` spacings long in the x direction.

@@ -152,7 +152,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_word_that_speaks_of_an_unknown_cell_is_left_out() {
+    fn words_with_an_unknown_variable_are_omitted() {
         let program =
             Program::parse("one\t-\t0.6 0.5\tfew\tone {in} -c={cubes} -t={iso} -o {out}\t-")
                 .unwrap();

@@ -134,7 +134,7 @@ mod tests {
     use crate::meshes::cuboid;
 
     #[test]
-    fn vertices_move_as_the_particles_near_them_do() {
+    fn vertices_move_with_the_particles_near_them() {
         let mesh = cuboid([0.0; 3], [20.0; 3]);
         let points = [[0.5; 3], [19.5; 3], [19.0; 3]];
         let moved = carried(&mesh, &points, &[DVec3::X, DVec3::Y, DVec3::Y]);

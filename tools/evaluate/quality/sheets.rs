@@ -54,11 +54,11 @@ const DROPS: usize = 1200;
 /// Maximum distance, in spacings, between neighbours in a cluster.
 const LINKAGE: f64 = 1.9;
 /// The numbers of layers of the sheets that are stretched frame by frame.
-const SLOW: [i32; 2] = [1, 2];
-/// Number of frames in which the sheets of [`SLOW`] are stretched.
+const STRETCHED_LAYERS: [i32; 2] = [1, 2];
+/// Number of frames in which the sheets of [`STRETCHED_LAYERS`] are stretched.
 const FRAMES: usize = 30;
-/// The stretch of the sheets of [`SLOW`] in the last frame.
-const LAST: f64 = 2.4;
+/// The stretch of the sheets of [`STRETCHED_LAYERS`] in the last frame.
+const LAST_STRETCH: f64 = 2.4;
 
 /// The cell sizes and the seeds of the random samples for the rows of a table.
 struct Samples<'a> {
@@ -69,16 +69,17 @@ struct Samples<'a> {
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     let samples =
         Samples { cells: options.choose(&CELLS[..], &CELLS[..1]), seeds: 0..options.choose(3, 2) };
-    still(board, &samples)?;
-    standing(board, &samples)?;
-    in_filaments(board, &samples)?;
-    in_spray(board, &samples)?;
-    let (layers, frames) = options.choose((&SLOW[..], FRAMES), (&SLOW[..1], FRAMES / 2));
-    stretching(board, &samples, layers, frames)
+    sheet_table(board, &samples)?;
+    crown_table(board, &samples)?;
+    filament_table(board, &samples)?;
+    spray_table(board, &samples)?;
+    let (layers, frames) =
+        options.choose((&STRETCHED_LAYERS[..], FRAMES), (&STRETCHED_LAYERS[..1], FRAMES / 2));
+    stretching_table(board, &samples, layers, frames)
 }
 
 /// Describes a table row that says how torn the surfaces of scenes of one kind are.
-fn torn(
+fn tear_line(
     row: &str,
     cell: f64,
     scenes: Vec<Points>,
@@ -93,12 +94,12 @@ fn torn(
     }
 }
 
-fn stretched(layers: i32, stretch: f64) -> String {
-    format!("{} stretched {stretch:.1} times", of(layers))
+fn stretch_text(layers: i32, stretch: f64) -> String {
+    format!("{} stretched {stretch:.1} times", layers_text(layers))
 }
 
 /// Prints the table of sheets with a constant stretch, and of shells.
-fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+fn sheet_table(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let kinds = SHEETS
         .iter()
         .flat_map(|&(layers, stretches)| stretches.iter().map(move |&by| (layers, by)));
@@ -106,13 +107,13 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
         let scenes = seeds.clone().map(|seed| sheet(layers, stretch, seed)).collect();
         let volume = f64::from(WIDTH * WIDTH * layers);
         let tear = move |mesh: &Mesh| Tear::of_sheet(mesh, volume);
-        torn(&stretched(layers, stretch), cell, scenes, tear)
+        tear_line(&stretch_text(layers, stretch), cell, scenes, tear)
     });
     let shells = cells.iter().map(|&cell| {
         let scenes: Vec<Points> = seeds.clone().map(shell).collect();
         let volume = scenes[0].len() as f64;
         let row = format!("shell of radius {RADIUS}, particles {APART} apart");
-        torn(&row, cell, scenes, move |mesh| Tear::of_shell(mesh, volume))
+        tear_line(&row, cell, scenes, move |mesh| Tear::of_shell(mesh, volume))
     });
     board.table(
         &format!(
@@ -125,13 +126,13 @@ fn still(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
 }
 
 /// Prints the table of crowns that stand on water.
-fn standing(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+fn crown_table(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let kinds = [1, 2].into_iter().flat_map(|layers| CROWNS.map(|stretch| (layers, stretch)));
     let crowns = in_cells(kinds, cells).map(|((layers, stretch), cell)| {
         let scenes: Vec<Points> = seeds.clone().map(|seed| crown(layers, stretch, seed)).collect();
         let volume = scenes[0].len() as f64;
         let tear = move |mesh: &Mesh| Tear::of_sheet(mesh, volume);
-        torn(&stretched(layers, stretch), cell, scenes, tear)
+        tear_line(&stretch_text(layers, stretch), cell, scenes, tear)
     });
     board.table(
         &format!(
@@ -143,7 +144,7 @@ fn standing(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     )
 }
 
-fn in_filaments(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+fn filament_table(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let lines = in_cells(STRETCHES, cells).map(|(stretch, cell)| Line {
         rows: vec![format!("stretched {stretch} times, {}", cell_name(Some(cell)))],
         cell: Some(cell),
@@ -167,7 +168,7 @@ fn in_filaments(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()
     )
 }
 
-fn in_spray(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
+fn spray_table(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     let lines = in_cells(SPRAY, cells).map(|(apart, cell)| {
         let scenes: Vec<Points> = seeds.clone().map(|seed| spray(apart, seed)).collect();
         let clusters: usize = scenes.iter().map(|scene| clusters(scene)).sum();
@@ -192,9 +193,15 @@ fn in_spray(board: &Board, Samples { cells, seeds }: &Samples) -> Outcome<()> {
     )
 }
 
-fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -> Outcome<()> {
+fn stretching_table(
+    board: &Board,
+    samples: &Samples,
+    layers: &[i32],
+    frames: usize,
+) -> Outcome<()> {
     let lines = in_cells(layers.iter().copied(), samples.cells).map(|(layers, cell)| {
-        let row = |what: &str| format!("{}, {}: {what}", of(layers), cell_name(Some(cell)));
+        let row =
+            |what: &str| format!("{}, {}: {what}", layers_text(layers), cell_name(Some(cell)));
         let volume = f64::from(WIDTH * WIDTH * layers);
         Line {
             rows: [
@@ -206,7 +213,9 @@ fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -
             .into(),
             cell: Some(cell),
             lost: Lost::Scene,
-            scenes: (0..frames).map(|n| sheet(layers, slow(n, frames), 0).into()).collect(),
+            scenes: (0..frames)
+                .map(|n| sheet(layers, stretch_in_frame(n, frames), 0).into())
+                .collect(),
             read: Box::new(move |meshes| {
                 let tears: Vec<Tear> =
                     meshes.iter().map(|mesh| Tear::of_sheet(mesh, volume)).collect();
@@ -215,7 +224,7 @@ fn stretching(board: &Board, samples: &Samples, layers: &[i32], frames: usize) -
         }
     });
     board.table(
-        &format!("sheets that stretch from 1 to {LAST} times in {frames} frames"),
+        &format!("sheets that stretch from 1 to {LAST_STRETCH} times in {frames} frames"),
         lines.collect(),
     )
 }
@@ -228,13 +237,13 @@ fn in_cells<T: Copy>(
     kinds.into_iter().flat_map(|kind| cells.iter().map(move |&cell| (kind, cell)))
 }
 
-fn of(layers: i32) -> String {
+fn layers_text(layers: i32) -> String {
     format!("{layers} layer{}", if layers == 1 { "" } else { "s" })
 }
 
-/// The stretch of a sheet in a frame, from 1 to [`LAST`].
-fn slow(frame: usize, frames: usize) -> f64 {
-    1.0 + (LAST - 1.0) * frame as f64 / (frames - 1) as f64
+/// The stretch of a sheet in a frame, from 1 to [`LAST_STRETCH`].
+fn stretch_in_frame(frame: usize, frames: usize) -> f64 {
+    1.0 + (LAST_STRETCH - 1.0) * frame as f64 / (frames - 1) as f64
 }
 
 /// The particles of a stretched sheet. The same seed gives the same jitter at every stretch.
@@ -399,7 +408,7 @@ fn opening(tears: &[Tear]) -> [String; 3] {
     let change = |pair: &[Tear]| (pair[1].volume / pair[0].volume - 1.0).abs();
     [
         opens.map_or("never".into(), |frame| {
-            format!("{:.2} (frame {frame})", slow(frame, tears.len()))
+            format!("{:.2} (frame {frame})", stretch_in_frame(frame, tears.len()))
         }),
         open.windows(2).filter(closes).count().to_string(),
         figure(whole.windows(2).map(change).fold(0.0, f64::max)),
@@ -432,7 +441,7 @@ mod tests {
     }
 
     #[test]
-    fn filaments_are_single_clusters_at_their_own_distance() {
+    fn each_filament_is_one_cluster() {
         let filaments = filaments(1.4, 0);
         assert_eq!((filaments.len(), clusters(&filaments)), (FILAMENTS * LINKS, FILAMENTS));
         assert_eq!(clusters(&[[0.0; 3], [1.5, 0.0, 0.0], [3.0, 0.0, 0.0], [9.0; 3]]), 2);

@@ -9,7 +9,7 @@ use super::components::{Count, components};
 use super::heights::{Columns, Top};
 use super::level::deviation;
 use super::lines::{Board, Line, Lost, Scene};
-use crate::sample::place;
+use crate::sample::unit_cube_point;
 use crate::scene::Random;
 use crate::tables::{figure, mean, signed};
 use crate::{Options, Outcome};
@@ -69,7 +69,7 @@ impl Water {
 
     /// The scene, moved to the position within a cell that `seed` determines.
     fn scene(self, seed: usize) -> Scene {
-        let moved = |p: [f64; 3]| (DVec3::from(p) + place(seed)).into();
+        let moved = |p: [f64; 3]| (DVec3::from(p) + unit_cube_point(seed)).into();
         let points = self.points.into_iter().map(moved).collect();
         Scene { points, sizes: Some(self.sizes) }
     }
@@ -143,7 +143,7 @@ fn layer(seed: usize) -> Water {
 /// in units of `size`.
 fn level(meshes: &[Mesh], [from, to]: [f64; 2], size: f64) -> String {
     let of = meshes.iter().enumerate().map(|(seed, mesh)| {
-        let moved = place(seed);
+        let moved = unit_cube_point(seed);
         let lo = DVec2::new(from + moved.x, MARGIN + moved.z);
         let hi = DVec2::new(to + moved.x, WIDTH - MARGIN + moved.z);
         let tops: Vec<Top> = Columns::over(lo, hi).tops(mesh).into_iter().flatten().collect();

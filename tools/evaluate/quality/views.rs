@@ -35,7 +35,7 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         let (lo, hi) = bounds(&frame.points);
         let far = Camera { radius: FAR * (hi - lo).length() / 2.0, ..Camera::of([lo, hi]) };
         views(options, board, &frame.name, "far", &frame.points, &far, None)?;
-        let focus = busiest(&frame.points);
+        let focus = most_detailed_region(&frame.points);
         let around: Points = frame
             .points
             .iter()
@@ -61,8 +61,8 @@ fn views(
     cell: Option<f64>,
 ) -> Outcome<()> {
     let input = board.input(points)?;
-    let asked = |method: &&Method| method.documented && method.takes(points.len());
-    let methods: Vec<&Method> = board.methods.iter().filter(asked).collect();
+    let is_drawn = |method: &&Method| method.documented && method.takes(points.len());
+    let methods: Vec<&Method> = board.methods.iter().filter(is_drawn).collect();
     let pictures: Vec<(Image, Option<Image>)> = methods
         .par_iter()
         .enumerate()
@@ -92,7 +92,7 @@ fn bounds(points: &[[f64; 3]]) -> (DVec3, DVec3) {
 }
 
 /// The centre of the region that has the most partly filled cells.
-fn busiest(points: &[[f64; 3]]) -> DVec3 {
+fn most_detailed_region(points: &[[f64; 3]]) -> DVec3 {
     let mut counts: HashMap<IVec3, usize> = HashMap::new();
     for &p in points {
         *counts.entry((DVec3::from(p) / COUNTED).floor().as_ivec3()).or_default() += 1;

@@ -51,7 +51,7 @@ class Order:
         }
 
 
-class Ended(Exception):
+class Cancelled(Exception):
     """Raised in the progress callback to cancel the work."""
 
 
@@ -66,9 +66,9 @@ class Conversion:
         self.problems: list[str] = []
         self._end = threading.Event()
         # The thread is a daemon, because at exit Python waits for all threads that are not daemons
-        # before it calls `_leave`.
+        # before it calls `_stop_at_exit`, which cancels the conversion.
         self._thread = threading.Thread(target=self._run, name="meniscus conversion", daemon=True)
-        atexit.register(self._leave)
+        atexit.register(self._stop_at_exit)
 
     def start(self) -> None:
         """Starts the conversion on its thread."""
@@ -88,7 +88,7 @@ class Conversion:
         """Cancels the conversion after the frames in progress; finished frames are kept."""
         self._end.set()
 
-    def _leave(self) -> None:
+    def _stop_at_exit(self) -> None:
         """Ends the conversion when Blender exits, because its thread must not outlive the interpreter."""
         self.cancel()
         if self.runs:
@@ -98,9 +98,9 @@ class Conversion:
         """Waits until the conversion has ended."""
         self._thread.join()
 
-    def _hear(self, event: meniscus.Event) -> None:
+    def _on_event(self, event: meniscus.Event) -> None:
         if self._end.is_set():
-            raise Ended
+            raise Cancelled
         if event.total is not None:
             self.total = event.total
         if event.kind == "done" and event.done is not None:
@@ -113,10 +113,10 @@ class Conversion:
         try:
             os.makedirs(Path(self.order.output).parent, exist_ok=True)
             simulation = meniscus.Simulation(self.order.inputs, self.order.output, **self.order.keywords())
-            simulation.run(progress=self._hear)
-        except Ended:
+            simulation.run(progress=self._on_event)
+        except Cancelled:
             self.message = "Cancelled: finished frames are kept"
         except (meniscus.Error, OSError, MemoryError) as error:
             self.error = str(error) or "Out of memory"
         finally:
-            atexit.unregister(self._leave)
+            atexit.unregister(self._stop_at_exit)

@@ -38,8 +38,8 @@ class Status:
     warnings: tuple[str, ...] = ()
     file: str = ""
     seconds: float = 0.0
-    #: Whether the surface must be updated when the user leaves Edit Mode.
-    waits: bool = False
+    #: Whether an update waits until the user leaves Edit Mode.
+    update_pending: bool = False
 
 
 class _State:
@@ -67,15 +67,15 @@ class _State:
 _state = _State()
 
 
-class Refused(Exception):
+class InvalidSettings(Exception):
     """The settings do not define a surface. The panel shows the message, which says why."""
 
 
 #: The exceptions that the panel shows as messages.
-FAULTS = (Refused, OutOfRange, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError)
+FAULTS = (InvalidSettings, OutOfRange, vertices.Hidden, meshes.TooLarge, meniscus.Error, OSError, MemoryError)
 
 
-def bound_cache(mebibytes: int) -> None:
+def set_cache_limit(mebibytes: int) -> None:
     """Sets the memory limit of the cache of surfaces, in MiB."""
     _state.cache.bound = mebibytes * MIB
 
@@ -141,18 +141,18 @@ def _request(
     cell = settings.cell_render if _state.renders else settings.cell_viewport
     sampling, filters = sampling_of(settings, cell), filters_of(settings)
     if settings.source == "OBJECT" and settings.object is None:
-        raise Refused("Choose the object whose vertices are the particles")
+        raise InvalidSettings("Choose the object whose vertices are the particles")
     if depsgraph is None and _is_of_objects(settings.id_data):
         return None
     touched = solids_of(settings, depsgraph) if depsgraph is not None else Solids()
     if settings.source == "OBJECT":
         positions, velocity = vertices.particles_of(settings.object, depsgraph)
         if not len(positions):
-            raise Refused(f"{settings.object.name} has no vertices and no points at frame {frame}")
+            raise InvalidSettings(f"{settings.object.name} has no vertices and no points at frame {frame}")
         status.file = f"{len(positions)} vertices of {settings.object.name}"
         return Request(FromPoints(positions, velocity, sampling), filters, touched)
     if not settings.path.strip():
-        raise Refused("Choose the particle files")
+        raise InvalidSettings("Choose the particle files")
     path = bpy.path.abspath(settings.path)
     frames = _state.listings.frames(path)
     shown = shown_at(frames, timing_of(settings), frame)
@@ -189,8 +189,8 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
     began, status = time.perf_counter(), Status()
     try:
         if mesh.is_editmode:
-            status.waits = True
-            raise Refused("Leave Edit Mode to update the surface")
+            status.update_pending = True
+            raise InvalidSettings("Leave Edit Mode to update the surface")
         request = _request(settings, scene.frame_current, depsgraph, status)
         if request is None:
             return
@@ -270,7 +270,7 @@ def particles_up(mesh: bpy.types.Mesh) -> str | None:
 
 
 def spacing_used(mesh: bpy.types.Mesh) -> float | None:
-    """The spacing of the surface that a mesh should show; None if the surface cannot be computed."""
+    """The spacing of the surface that a mesh should show; None if it is unknown or the surface cannot be computed."""
     arrays = _arrays_of(mesh)
     return arrays.spacing if arrays else None
 
@@ -280,7 +280,7 @@ def _is_of_objects(mesh: bpy.types.Mesh) -> bool:
     return mesh.meniscus.source == "OBJECT" or mesh.meniscus.solids is not None
 
 
-def _needs(mesh: bpy.types.Mesh, changed: set[bpy.types.Object]) -> bool:
+def _depends_on(mesh: bpy.types.Mesh, changed: set[bpy.types.Object]) -> bool:
     """Whether a surface depends on one of the changed objects."""
     settings = mesh.meniscus
     source = {settings.object} if settings.source == "OBJECT" else set()
@@ -288,9 +288,9 @@ def _needs(mesh: bpy.types.Mesh, changed: set[bpy.types.Object]) -> bool:
     return bool(changed & (source | touched))
 
 
-def _has_waited(mesh: bpy.types.Mesh) -> bool:
-    """Whether the user has left Edit Mode, during which the surface could not be updated."""
-    return status_of(mesh).waits and not mesh.is_editmode
+def _left_edit_mode(mesh: bpy.types.Mesh) -> bool:
+    """Whether an update of the surface was pending in Edit Mode, and the user has left Edit Mode."""
+    return status_of(mesh).update_pending and not mesh.is_editmode
 
 
 @persistent
@@ -314,12 +314,12 @@ def _after_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Non
         return
     changed = {each.id.original for each in depsgraph.updates if isinstance(each.id, bpy.types.Object)}
     if changed:
-        update_all(scene, depsgraph, lambda mesh: _needs(mesh, changed) or _has_waited(mesh))
+        update_all(scene, depsgraph, lambda mesh: _depends_on(mesh, changed) or _left_edit_mode(mesh))
 
 
 @persistent
 def _after_undo(scene: bpy.types.Scene, _depsgraph: object = None) -> None:
-    _everything(scene)
+    _update_everything(scene)
 
 
 @persistent
@@ -330,10 +330,10 @@ def _after_load(_path: object, _other: object = None) -> None:
     scene = bpy.context.scene
     # If a mesh shows no surface, its property `MADE` is empty or missing.
     _state.saved = {mesh.session_uid: (scene.frame_current, mesh[MADE]) for mesh in surfaces() if mesh.get(MADE)}
-    _everything(scene)
+    _update_everything(scene)
 
 
-def _everything(scene: bpy.types.Scene) -> None:
+def _update_everything(scene: bpy.types.Scene) -> None:
     if any(True for _ in surfaces()):
         update_all(scene, bpy.context.evaluated_depsgraph_get(), lambda _mesh: True)
 
@@ -348,7 +348,7 @@ def _after_render(_scene: bpy.types.Scene, _other: object = None) -> None:
     _state.renders = False
 
     def back_to_the_viewport() -> None:
-        _everything(bpy.context.scene)
+        _update_everything(bpy.context.scene)
 
     if bpy.app.background:
         back_to_the_viewport()

@@ -16,7 +16,7 @@ from bpy_extras.io_utils import ImportHelper
 from . import live, solids, volumes
 from .conversion import Conversion, Order
 from .placing import place
-from .surfaces.playing import reading
+from .surfaces.playing import read_time_mapping
 from .surfaces.request import FromFile
 from .surfaces.sequence import EXTENSIONS, number_of, sequence_of
 from .vertices import Hidden
@@ -188,7 +188,7 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
         output=os.path.join(folder, f"{name}_{{:04}}.vdb" if are_volumes else f"{name}_{{}}.usdc"),
         stage=None if are_volumes else os.path.join(folder, f"{name}.usda"),
         fps=scene.render.fps / scene.render.fps_base,
-        sampling=FromFile(str(frames[0][1]), live.sampling_of(settings, settings.cell_render)).asked,
+        sampling=FromFile(str(frames[0][1]), live.sampling_of(settings, settings.cell_render)).used_sampling,
         filters=live.filters_of(settings),
         solids=tuple(files),
         solid_offset=offset,
@@ -237,13 +237,13 @@ def play(context: bpy.types.Context, mesh: bpy.types.Mesh, stage: str) -> list[b
         played.data.materials.append(material)
     for modifier in played.modifiers:
         if modifier.type == "MESH_SEQUENCE_CACHE":
-            _read_as_live(modifier.cache_file, mesh, stage)
+            _match_live_timing(modifier.cache_file, mesh, stage)
     return _replace(context, mesh, played)
 
 
-def _read_as_live(cache: bpy.types.CacheFile, mesh: bpy.types.Mesh, stage: str) -> None:
+def _match_live_timing(cache: bpy.types.CacheFile, mesh: bpy.types.Mesh, stage: str) -> None:
     """Shows the frames of a stage at the same times as the live surface."""
-    read = reading(Path(stage).with_suffix(".usdc.json"), live.timing_of(mesh.meniscus))
+    read = read_time_mapping(Path(stage).with_suffix(".usdc.json"), live.timing_of(mesh.meniscus))
     if read.offset is not None:
         cache.frame_offset = read.offset
         return

@@ -8,7 +8,7 @@ from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProp
 from . import live
 
 #: The library's default cell size, smoothing width and solid offset, all in spacings.
-CELL, CALM, SOLID_OFFSET = 0.5, 1.6, -0.1
+CELL, SMOOTHING, SOLID_OFFSET = 0.5, 1.6, -0.1
 
 
 def _changed(settings: MeniscusSurface, _context: bpy.types.Context) -> None:
@@ -131,7 +131,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     smooth: FloatProperty(
         name="Smoothing",
         description="Smoothing width in particle spacings, from 0.8 to 4; larger is smoother, 2 is good for noisy FLIP",
-        default=CALM,
+        default=SMOOTHING,
         min=0.0,
         soft_min=1.0,
         soft_max=3.2,
@@ -187,7 +187,7 @@ class MeniscusPreferences(bpy.types.AddonPreferences):
         description="Memory limit for cached surfaces, in addition to the surface that is shown",
         default=1024,
         min=0,
-        update=lambda self, _context: live.bound_cache(self.cache),
+        update=lambda self, _context: live.set_cache_limit(self.cache),
     )
 
     def draw(self, _context: bpy.types.Context) -> None:
@@ -200,7 +200,7 @@ def register() -> None:
     bpy.types.Mesh.meniscus = PointerProperty(type=MeniscusSurface)
     known = bpy.context.preferences.addons.get(__package__)
     if known is not None and known.preferences is not None:
-        live.bound_cache(known.preferences.cache)
+        live.set_cache_limit(known.preferences.cache)
 
 
 def unregister() -> None:

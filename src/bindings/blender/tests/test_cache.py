@@ -10,7 +10,7 @@ def kib(count: int) -> np.ndarray:
     return np.zeros(1024 * count, np.uint8)
 
 
-def test_what_was_not_used_for_longest_goes_first() -> None:
+def test_the_least_recently_used_value_is_removed_first() -> None:
     cache: Cache[np.ndarray] = Cache(3 * 1024)
     for name in "abc":
         cache.put(name, kib(1))
@@ -21,7 +21,7 @@ def test_what_was_not_used_for_longest_goes_first() -> None:
     assert cache.nbytes == 3 * 1024
 
 
-def test_a_value_that_does_not_fit_drives_out_nothing() -> None:
+def test_a_value_larger_than_the_limit_removes_no_other_value() -> None:
     cache: Cache[np.ndarray] = Cache(2 * 1024)
     cache.put("a", kib(1))
     cache.put("b", kib(3))
@@ -31,14 +31,14 @@ def test_a_value_that_does_not_fit_drives_out_nothing() -> None:
     assert cache.get("a") is None and cache.nbytes == 0
 
 
-def test_a_value_in_the_place_of_another_counts_once() -> None:
+def test_a_replaced_value_counts_once() -> None:
     cache: Cache[np.ndarray] = Cache(10 * 1024)
     cache.put("a", kib(4))
     cache.put("a", kib(5))
     assert (len(cache), cache.nbytes) == (1, 5 * 1024)
 
 
-def test_a_narrower_bound_holds_at_once() -> None:
+def test_a_smaller_limit_applies_immediately() -> None:
     cache: Cache[np.ndarray] = Cache(10 * 1024)
     for name in "abcde":
         cache.put(name, kib(2))

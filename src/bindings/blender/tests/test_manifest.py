@@ -26,7 +26,7 @@ def manifest() -> str:
     return (blender_zip.SOURCE / "blender_manifest.toml").read_text()
 
 
-def test_the_manifest_keeps_the_rules_of_the_extensions_platform() -> None:
+def test_the_manifest_meets_the_rules_of_the_extensions_platform() -> None:
     read = tomllib.loads(manifest())
     assert read["schema_version"] == "1.0.0" and read["type"] == "add-on"
     assert read["id"].isidentifier() and not read["id"].startswith("_") and "__" not in read["id"]
@@ -40,12 +40,12 @@ def test_the_manifest_keeps_the_rules_of_the_extensions_platform() -> None:
         assert len(text) <= 64 and re.search(r"\w$|\)$", text), text
 
 
-def test_the_extension_uses_nothing_that_it_asks_no_permission_for() -> None:
-    asked = set(tomllib.loads(manifest())["permissions"])
+def test_the_extension_requests_all_permissions_that_it_needs() -> None:
+    permissions = set(tomllib.loads(manifest())["permissions"])
     signs = {"network": r"\b(urllib|requests|socket|http\.client)\b", "clipboard": r"\.clipboard\b"}
     for path in blender_zip.SOURCE.rglob("*.py"):
         used = {name for name, sign in signs.items() if re.search(sign, path.read_text())}
-        assert used <= asked, path
+        assert used <= permissions, path
 
 
 def test_wheels_are_named_before_the_permissions() -> None:
@@ -54,7 +54,7 @@ def test_wheels_are_named_before_the_permissions() -> None:
     assert set(read["permissions"]) == {"files"}
 
 
-def test_its_version_is_the_librarys() -> None:
+def test_the_version_equals_the_librarys_version() -> None:
     cargo = tomllib.loads((blender_zip.ROOT / "Cargo.toml").read_text())
     assert tomllib.loads(manifest())["version"] == cargo["package"]["version"]
 
@@ -63,16 +63,16 @@ def test_its_version_is_the_librarys() -> None:
     ("tag", "platform"),
     [("macosx_11_0_arm64", "macos-arm64"), ("win_amd64", "windows-x64"), ("manylinux_2_17_aarch64.manylinux2014_aarch64", "linux-arm64")],
 )
-def test_platforms_are_blenders_names_for_them(tag: str, platform: str) -> None:
+def test_platforms_have_blenders_names(tag: str, platform: str) -> None:
     assert blender_zip.platform_of(f"meniscus_surface-0.3.0-cp310-abi3-{tag}.whl") == platform
 
 
-def test_a_platform_that_blender_does_not_know_is_refused() -> None:
+def test_an_unsupported_platform_is_an_error() -> None:
     with pytest.raises(SystemExit, match="linux_riscv64"):
         blender_zip.platform_of("meniscus_surface-0.3.0-cp310-abi3-linux_riscv64.whl")
 
 
-def test_the_zip_holds_all_modules_and_is_the_same_each_time(tmp_path: Path) -> None:
+def test_the_zip_contains_all_modules_and_is_reproducible(tmp_path: Path) -> None:
     wheel = tmp_path / WHEEL
     wheel.write_bytes(b"wheel")
     zipped = blender_zip.pack(wheel, tmp_path)

@@ -31,7 +31,7 @@ FRAMES = [(2, Path("f_2.bgeo")), (3, Path("f_3.bgeo")), (6, Path("f_6.bgeo"))]
         ("frame_{:04}.ply", "frame_{:04}.ply", None),
     ],
 )
-def test_the_number_of_a_frame_is_the_last_before_its_extension(name: str, expected: str, number: int | None) -> None:
+def test_the_frame_number_is_the_last_number_before_the_extension(name: str, expected: str, number: int | None) -> None:
     assert sequence_of(os.path.join("a1", name)) == os.path.join("a1", expected)
     if number is not None:
         assert number_of(os.path.join("a1", name)) == number
@@ -51,7 +51,7 @@ def test_a_file_gives_its_sequence_as_the_library_lists_it(sequence: Path) -> No
     assert [number for number, _ in Listings().frames(inputs)] == [2, 3, 6]
 
 
-def test_a_folder_is_a_sequence_also_where_its_name_has_a_number(tmp_path: Path) -> None:
+def test_a_folder_with_a_number_in_its_name_is_a_sequence(tmp_path: Path) -> None:
     (tmp_path / "run_3").mkdir()
     assert sequence_of(str(tmp_path / "run_3")) == str(tmp_path / "run_3")
 
@@ -66,7 +66,7 @@ def test_frames_are_shown_by_their_numbers() -> None:
     assert shown[5].wanted == 4 and shown[5].path == "f_3.bgeo"
 
 
-def test_steps_go_on_faster_or_slower() -> None:
+def test_steps_can_skip_or_repeat_files() -> None:
     assert [Timing(1, 0, 5.0).number(frame) for frame in (1, 2, 3)] == [0, 5, 10]
     assert [Timing(1, 0, 0.5).number(frame) for frame in (0, 1, 2, 3, 4)] == [-1, 0, 0, 1, 1]
     # A user who types 0.3333333 means 1/3: three scene frames must advance by one file.
@@ -81,7 +81,7 @@ def test_a_listing_is_read_again_when_its_folder_has_changed(sequence: Path) -> 
     assert [number for number, _ in listings.frames(inputs)] == [2, 3, 6, 7]
 
 
-def test_what_is_not_there_is_the_librarys_error(tmp_path: Path) -> None:
+def test_missing_files_give_the_librarys_error(tmp_path: Path) -> None:
     with pytest.raises(meniscus.Error, match="no file matches"):
         Listings().frames(str(tmp_path / "none_{}.bgeo"))
     with pytest.raises(meniscus.Error, match="nowhere"):
@@ -89,6 +89,6 @@ def test_what_is_not_there_is_the_librarys_error(tmp_path: Path) -> None:
     assert stamp_of(str(tmp_path / "none")) is None
 
 
-def test_the_stamp_is_that_of_the_file_of_a_step(sequence: Path) -> None:
+def test_the_stamp_of_a_step_is_that_of_its_file(sequence: Path) -> None:
     file = str(sequence / "ball_002.npy")
     assert stamp_of(file + "#3") == stamp_of(file) != stamp_of(str(sequence / "ball_003.npy"))

@@ -7,7 +7,7 @@ struct particle {
   float mass, position[3], velocity[3];
 };
 
-static int32_t tell(void *user, const MeniscusProgress *progress) {
+static int32_t print_progress(void *user, const MeniscusProgress *progress) {
   fprintf(user, "%s %3.0f %%\n", progress->name, 100 * progress->done);
   return 0;  // Any other value cancels the work.
 }
@@ -33,7 +33,7 @@ int main(int count, char **arguments) {
   MeniscusMesh *mesh = NULL;
   MeniscusStatus status = meniscus_options_set_number(options, "spacing", 0.05);
   if (status == MENISCUS_STATUS_OK) status = meniscus_options_set(options, "normals", "true");
-  if (status == MENISCUS_STATUS_OK) status = meniscus_options_on_progress(options, tell, stderr);
+  if (status == MENISCUS_STATUS_OK) status = meniscus_options_on_progress(options, print_progress, stderr);
   if (status == MENISCUS_STATUS_OK) status = meniscus_reconstruct(&particles, options, &mesh);
   if (status == MENISCUS_STATUS_OK) status = meniscus_mesh_write(mesh, count > 1 ? arguments[1] : "water.ply", 1, NULL);
   if (status != MENISCUS_STATUS_OK) {

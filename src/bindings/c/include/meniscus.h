@@ -37,7 +37,8 @@ enum MeniscusStatus
  {
   // Success.
   MENISCUS_STATUS_OK = 0,
-  // Some frames of a conversion failed or are missing; the other frames are finished.
+  // Some frames of a conversion failed or are missing, or one of several simulations failed;
+  // finished frames are kept.
   MENISCUS_STATUS_INCOMPLETE = 1,
   // An invalid argument or option, or conflicting options; nothing was done.
   MENISCUS_STATUS_REQUEST = 2,
@@ -148,14 +149,15 @@ enum MeniscusEventKind
   : int32_t
 #endif // defined(__cplusplus) || __STDC_VERSION__ >= 202311L
  {
-  // An event that is newer than this header.
+  // Any other event, such as one that is newer than this header.
   MENISCUS_EVENT_KIND_OTHER = 0,
   // Waiting for the first frame, or for a frame that is suitable for measuring the calibration
   // of all frames.
   MENISCUS_EVENT_KIND_WAITING = 1,
   // The spacing may be wrong.
   MENISCUS_EVENT_KIND_SPACING_WARNING = 2,
-  // The conversion starts from the beginning, because its settings or its input changed.
+  // The conversion starts from the beginning, because its settings or the input of its
+  // calibration frame changed.
   MENISCUS_EVENT_KIND_RESTARTED = 3,
   // An earlier conversion is resumed.
   MENISCUS_EVENT_KIND_RESUMED = 4,
@@ -205,8 +207,10 @@ typedef struct MeniscusMesh MeniscusMesh;
 // "threads". They must be freed by meniscus_options_free.
 //
 // `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
-// An option that is not set has the program's default, with one exception: all stages run on the
-// CPU unless "backend" or "device" is set. A call with NULL instead of options uses all defaults.
+// An option that is not set has the program's default, with two exceptions. All stages run on the
+// CPU unless "backend" or "device" is set. Functions other than meniscus_convert write scratch
+// files to the system's temporary folder unless "scratch" is set. A call with NULL instead of
+// options uses all defaults.
 //
 // A call copies the options when it starts, so they may be changed or freed as soon as it returns.
 // Several threads may use the same options at the same time, as long as no thread changes or frees
@@ -247,7 +251,7 @@ typedef struct MeniscusAttribute {
   // default, the vertices get only the attribute "velocity", if it has three components. Other
   // common names of the velocity, such as "v" or "vel", are also recognised.
   const char *name;
-  // The first number of the first particle; need not be aligned.
+  // The address of the first number of the first particle; need not be aligned.
   const void *values;
   // Bytes from one particle to the next; 0 if values are contiguous. May be negative.
   ptrdiff_t stride;
@@ -273,7 +277,7 @@ typedef struct MeniscusParticles {
   size_t size;
   // The number of particles.
   uint64_t count;
-  // The x coordinate of the first particle; need not be aligned.
+  // The address of the x coordinate of the first particle; need not be aligned.
   const void *positions;
   // Bytes from one particle's x to the next particle's x; 0 if positions are contiguous. May be
   // negative.
@@ -428,8 +432,8 @@ typedef struct MeniscusEvent {
   size_t size;
   // A description of the event, as a line of text; valid during the callback.
   const char *text;
-  // The warnings about a finished frame, one per line; NULL if there are none. Valid during the
-  // callback.
+  // The warnings about a finished frame or a finished simulation, one per line; NULL if there
+  // are none. Valid during the callback.
   const char *warnings;
   // The number of the frame, for events about stages and about finished or failed frames. It may
   // be negative.
@@ -484,8 +488,8 @@ void meniscus_cancel_free(struct MeniscusCancel *cancel);
 // NULL for all defaults. The progress function of the options is not called. `summary`: NULL, or
 // the structure to fill.
 //
-// Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing. The message then describes
-// the first of them, and all other frames are finished.
+// Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing, or if one of several
+// simulations failed. The message then describes the first error. Finished frames are kept.
 //
 // Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_convert(const char *const *inputs,
@@ -500,9 +504,9 @@ MeniscusStatus meniscus_convert(const char *const *inputs,
 // freed by meniscus_mesh_free, or NULL on failure.
 //
 // Returns MENISCUS_STATUS_REQUEST if arguments or options are invalid, or if the memory is not
-// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if positions are not finite
-// or too far away, or if the particles have no surface. Returns MENISCUS_STATUS_OUTPUT if scratch
-// files cannot be written.
+// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if a position is not finite
+// or too far away and the option "skip-invalid" is not set, or if the particles have no surface.
+// Returns MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
 //
 // Pointers must be NULL or point to the described data; the particles must not change during the
 // call.

@@ -185,16 +185,17 @@ class Options {
 
 namespace detail {
 
-// A copy of the options for one call, whose progress callback also catches exceptions.
-class Asked {
+// A copy of the options for one call. Its progress callback catches exceptions, which must not pass
+// through the C library; `check` throws them again.
+class CallOptions {
  public:
-  explicit Asked(const Options &options)
+  explicit CallOptions(const Options &options)
       : on_progress_(options.on_progress()), handle_(meniscus_options_copy(options.c())) {
     if (!on_progress_) return;
-    meniscus::check(meniscus_options_on_progress(handle_.get(), &Asked::hear, this));
+    meniscus::check(meniscus_options_on_progress(handle_.get(), &CallOptions::report_progress, this));
   }
-  Asked(const Asked &) = delete;
-  Asked &operator=(const Asked &) = delete;
+  CallOptions(const CallOptions &) = delete;
+  CallOptions &operator=(const CallOptions &) = delete;
   const MeniscusOptions *c() const { return handle_.get(); }
 
   // Throws the exception of the callback, if there was one, or else the error of the call.
@@ -204,8 +205,8 @@ class Asked {
   }
 
  private:
-  static int32_t hear(void *user, const MeniscusProgress *progress) noexcept {
-    auto *self = static_cast<Asked *>(user);
+  static int32_t report_progress(void *user, const MeniscusProgress *progress) noexcept {
+    auto *self = static_cast<CallOptions *>(user);
     try {
       return self->on_progress_(*progress) ? 0 : 1;
     } catch (...) {
@@ -239,9 +240,9 @@ class Mesh {
   // All components of the attribute with this name, vertex by vertex; integers are rounded to
   // float.
   Span<float> attribute(const std::string &name) const {
-    const MeniscusArrays lent = arrays();
-    for (const auto &one : Span(lent.attributes, lent.attribute_count)) {
-      if (name == one.name) return {one.values, one.components * lent.vertex_count};
+    const MeniscusArrays all = arrays();
+    for (const auto &one : Span(all.attributes, all.attribute_count)) {
+      if (name == one.name) return {one.values, one.components * all.vertex_count};
     }
     throw std::out_of_range("the mesh has no attribute " + name);
   }
@@ -310,18 +311,18 @@ class Mesh {
 
 // Reconstructs the surface of particles.
 inline Mesh reconstruct(const Particles &particles, const Options &options = {}) {
-  detail::Asked asked(options);
+  detail::CallOptions call_options(options);
   const MeniscusParticles c = particles.c();
   MeniscusMesh *mesh = nullptr;
-  asked.check(meniscus_reconstruct(&c, asked.c(), &mesh));
+  call_options.check(meniscus_reconstruct(&c, call_options.c(), &mesh));
   return Mesh(mesh);
 }
 
 // Reconstructs the surface of the particles in a file, or of a packed frame.
 inline Mesh reconstruct(const std::string &path, const Options &options = {}) {
-  detail::Asked asked(options);
+  detail::CallOptions call_options(options);
   MeniscusMesh *mesh = nullptr;
-  asked.check(meniscus_reconstruct_file(path.c_str(), asked.c(), &mesh));
+  call_options.check(meniscus_reconstruct_file(path.c_str(), call_options.c(), &mesh));
   return Mesh(mesh);
 }
 
@@ -329,16 +330,16 @@ inline Mesh reconstruct(const std::string &path, const Options &options = {}) {
 class Frame {
  public:
   explicit Frame(const Particles &particles, const Options &options = {}) {
-    detail::Asked asked(options);
+    detail::CallOptions call_options(options);
     const MeniscusParticles c = particles.c();
-    take(asked, [&](MeniscusFrame **frame) { return meniscus_sample(&c, asked.c(), frame); });
+    sample_into_handle(call_options, [&](MeniscusFrame **frame) { return meniscus_sample(&c, call_options.c(), frame); });
   }
   explicit Frame(const std::string &path, const Options &options = {}) {
-    detail::Asked asked(options);
-    take(asked, [&](MeniscusFrame **frame) { return meniscus_sample_file(path.c_str(), asked.c(), frame); });
+    detail::CallOptions call_options(options);
+    sample_into_handle(call_options, [&](MeniscusFrame **frame) { return meniscus_sample_file(path.c_str(), call_options.c(), frame); });
   }
 
-  // Computes the surface with the options that were given for sampling.
+  // Computes the surface with the options of the constructor.
   Mesh surface() const {
     MeniscusMesh *mesh = nullptr;
     check(meniscus_frame_surface(handle_.get(), nullptr, &mesh));
@@ -346,9 +347,9 @@ class Frame {
   }
   // Computes a surface with other options.
   Mesh surface(const Options &options) const {
-    detail::Asked asked(options);
+    detail::CallOptions call_options(options);
     MeniscusMesh *mesh = nullptr;
-    asked.check(meniscus_frame_surface(handle_.get(), asked.c(), &mesh));
+    call_options.check(meniscus_frame_surface(handle_.get(), call_options.c(), &mesh));
     return Mesh(mesh);
   }
   // Packs the frame into a new .mnf file, and returns its size in bytes. Throws if the file exists.
@@ -360,9 +361,9 @@ class Frame {
 
  private:
   template <class Sample>
-  void take(detail::Asked &asked, Sample sample) {
+  void sample_into_handle(detail::CallOptions &call_options, Sample sample) {
     MeniscusFrame *frame = nullptr;
-    asked.check(sample(&frame));
+    call_options.check(sample(&frame));
     handle_.reset(frame);
   }
   detail::Handle<MeniscusFrame, meniscus_frame_free> handle_;
@@ -371,23 +372,23 @@ class Frame {
 // A running simulation: its frames come from memory, in order, and share one calibration.
 class Simulation {
  public:
-  explicit Simulation(const Options &options = {}) : asked_(std::make_unique<detail::Asked>(options)) {
+  explicit Simulation(const Options &options = {}) : call_options_(std::make_unique<detail::CallOptions>(options)) {
     MeniscusSimulation *simulation = nullptr;
-    asked_->check(meniscus_simulation_new(asked_->c(), &simulation));
+    call_options_->check(meniscus_simulation_new(call_options_->c(), &simulation));
     handle_.reset(simulation);
   }
   // Reconstructs the surface of the next frame.
   Mesh frame(const Particles &particles) {
     const MeniscusParticles c = particles.c();
     MeniscusMesh *mesh = nullptr;
-    asked_->check(meniscus_simulation_frame(handle_.get(), &c, &mesh));
+    call_options_->check(meniscus_simulation_frame(handle_.get(), &c, &mesh));
     return Mesh(mesh);
   }
   // Whether cells, grid and calibration are fixed.
   bool is_settled() const { return meniscus_simulation_is_settled(handle_.get()) != 0; }
 
  private:
-  std::unique_ptr<detail::Asked> asked_;
+  std::unique_ptr<detail::CallOptions> call_options_;
   detail::Handle<MeniscusSimulation, meniscus_simulation_free> handle_;
 };
 

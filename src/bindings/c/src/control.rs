@@ -7,7 +7,7 @@ use std::sync::Arc;
 use meniscus::{Cancel, Progress, Reconstruction, Stage};
 use parking_lot::ReentrantMutex;
 
-use crate::status::{ask, c_text};
+use crate::status::{c_text, catch_panic};
 
 /// A stage of the work from particles to a mesh file.
 #[repr(i32)]
@@ -80,7 +80,7 @@ pub struct MeniscusCancel {
 /// Creates a cancel handle, which must be freed by meniscus_cancel_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
-    ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
+    catch_panic(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
 /// Cancels all calls that use this handle. Any thread may call this function at any time; NULL is
@@ -91,7 +91,7 @@ pub extern "C" fn meniscus_cancel_new() -> *mut MeniscusCancel {
 pub unsafe extern "C" fn meniscus_cancel(cancel: *const MeniscusCancel) {
     // SAFETY: the caller upholds this function's contract.
     if let Some(handle) = unsafe { cancel.as_ref() } {
-        ask((), || handle.cancel.cancel());
+        catch_panic((), || handle.cancel.cancel());
     }
 }
 
@@ -111,7 +111,7 @@ pub unsafe extern "C" fn meniscus_cancel_free(cancel: *mut MeniscusCancel) {
 pub unsafe fn free<T>(handle: *mut T) {
     if !handle.is_null() {
         // SAFETY: the caller upholds this function's contract.
-        ask((), || drop(unsafe { Box::from_raw(handle) }));
+        catch_panic((), || drop(unsafe { Box::from_raw(handle) }));
     }
 }
 
@@ -122,9 +122,10 @@ pub struct Listener {
     pub user: *mut c_void,
 }
 
-/// Holds the callback only while it is active, which is during a call. Surfaces keep the slot, and
-/// may outlive the callback's argument. The lock is reentrant, because a callback may call the
-/// library, which may call the callback again.
+/// Contains the callback while a call of the library runs, and is empty otherwise. Surfaces keep
+/// the slot and may outlive the callback's argument, so the slot must not contain the callback
+/// after the call. The lock is reentrant, because a callback may call the library, which may call
+/// the callback again.
 struct CallbackSlot(ReentrantMutex<Cell<Option<Listener>>>);
 
 // SAFETY: the lock lets only one thread at a time use `*user`, and the documentation of
@@ -137,7 +138,7 @@ unsafe impl Sync for CallbackSlot {}
 pub struct Control {
     cancel: Cancel,
     /// Whether the caller has set the cancel handle.
-    is_given: bool,
+    has_callers_cancel: bool,
     listener: Option<Listener>,
     slot: Arc<CallbackSlot>,
 }
@@ -147,20 +148,25 @@ unsafe impl Send for Control {}
 // SAFETY: for the same reason as `Send`.
 unsafe impl Sync for Control {}
 
-/// Keeps the callback active until this object is dropped.
+/// Removes the callback from its slot when this object is dropped.
 pub struct ActiveCallback<'a>(&'a Control);
 
 impl Control {
     /// Creates a control from an optional callback and an optional cancel handle.
     pub fn new(listener: Option<Listener>, cancel: Option<Cancel>) -> Self {
-        let is_given = cancel.is_some();
-        Self { cancel: cancel.unwrap_or_default(), is_given, listener, slot: CallbackSlot::empty() }
+        let has_callers_cancel = cancel.is_some();
+        Self {
+            cancel: cancel.unwrap_or_default(),
+            has_callers_cancel,
+            listener,
+            slot: CallbackSlot::empty(),
+        }
     }
 
-    /// A copy for another frame. Without a cancel handle from the caller, a callback that cancels
-    /// one of the two frames does not cancel the other.
+    /// A copy for another frame. If the caller has set no cancel handle, the copy has a new one, so
+    /// a callback that cancels one of the two frames does not cancel the other.
     pub fn for_other_work(&self) -> Self {
-        let cancel = if self.is_given { self.cancel.clone() } else { Cancel::new() };
+        let cancel = if self.has_callers_cancel { self.cancel.clone() } else { Cancel::new() };
         Self { cancel, slot: CallbackSlot::empty(), ..*self }
     }
 
@@ -179,7 +185,7 @@ impl Control {
         request.progress(move |progress| slot.call(progress, &cancel))
     }
 
-    /// Activates the callback until the result is dropped.
+    /// Puts the callback into its slot until the result is dropped.
     pub fn activate(&self) -> ActiveCallback<'_> {
         self.slot.0.lock().set(self.listener);
         ActiveCallback(self)

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use meniscus::{Cancel, Event, Summary};
 
 use crate::options::{MeniscusOptions, RequestParts};
-use crate::sized::{Growing, check, fill};
+use crate::sized::{SizedStruct, check, fill};
 use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call};
 use crate::text::{path, pointers};
 
@@ -15,14 +15,15 @@ use crate::text::{path, pointers};
 #[repr(i32)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeniscusEventKind {
-    /// An event that is newer than this header.
+    /// Any other event, such as one that is newer than this header.
     Other = 0,
     /// Waiting for the first frame, or for a frame that is suitable for measuring the calibration
     /// of all frames.
     Waiting = 1,
     /// The spacing may be wrong.
     SpacingWarning = 2,
-    /// The conversion starts from the beginning, because its settings or its input changed.
+    /// The conversion starts from the beginning, because its settings or the input of its
+    /// calibration frame changed.
     Restarted = 3,
     /// An earlier conversion is resumed.
     Resumed = 4,
@@ -52,8 +53,8 @@ pub struct MeniscusEvent {
     pub size: usize,
     /// A description of the event, as a line of text; valid during the callback.
     pub text: *const c_char,
-    /// The warnings about a finished frame, one per line; NULL if there are none. Valid during the
-    /// callback.
+    /// The warnings about a finished frame or a finished simulation, one per line; NULL if there
+    /// are none. Valid during the callback.
     pub warnings: *const c_char,
     /// The number of the frame, for events about stages and about finished or failed frames. It may
     /// be negative.
@@ -106,7 +107,7 @@ pub struct MeniscusSummary {
 }
 
 // SAFETY: all fields are numbers.
-unsafe impl Growing for MeniscusSummary {
+unsafe impl SizedStruct for MeniscusSummary {
     const NAME: &str = "MeniscusSummary";
 }
 
@@ -114,7 +115,7 @@ unsafe impl Growing for MeniscusSummary {
 fn notify(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
     let Some(EventListener { callback, user }) = listener else { return };
     let text = c_text(event.to_string());
-    let (converted, warnings) = described(event);
+    let (converted, warnings) = to_c_event(event);
     let warnings: Option<CString> = (!warnings.is_empty()).then(|| c_text(warnings.join("\n")));
     let warnings = warnings.as_ref().map_or(std::ptr::null(), |warnings| warnings.as_ptr());
     let converted = MeniscusEvent { text: text.as_ptr(), warnings, ..converted };
@@ -125,7 +126,7 @@ fn notify(listener: Option<EventListener>, event: &Event, cancel: &Cancel) {
 }
 
 /// Converts an event to the C structure, and returns the warnings about its frame.
-fn described(event: &Event) -> (MeniscusEvent, Vec<String>) {
+fn to_c_event(event: &Event) -> (MeniscusEvent, Vec<String>) {
     let mut converted = MeniscusEvent {
         size: size_of::<MeniscusEvent>(),
         text: std::ptr::null(),
@@ -207,8 +208,8 @@ unsafe fn paths(inputs: *const *const c_char, count: usize) -> Outcome<Vec<PathB
 /// NULL for all defaults. The progress function of the options is not called. `summary`: NULL, or
 /// the structure to fill.
 ///
-/// Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing. The message then describes
-/// the first of them, and all other frames are finished.
+/// Returns MENISCUS_STATUS_INCOMPLETE if frames failed or are missing, or if one of several
+/// simulations failed. The message then describes the first error. Finished frames are kept.
 ///
 /// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -223,16 +224,16 @@ pub unsafe extern "C" fn meniscus_convert(
         // SAFETY: the caller upholds this function's contract.
         let (inputs, output) = unsafe { (paths(inputs, input_count)?, path(output, "output")?) };
         // SAFETY: the caller upholds this function's contract.
-        let asked = unsafe { RequestParts::for_frames(options) };
+        let parts = unsafe { RequestParts::for_frames(options) };
         if !summary.is_null() {
             // SAFETY: the caller upholds this function's contract.
             unsafe { check(summary, "summary") }?;
         }
-        let simulation = asked.simulation(inputs, output);
+        let simulation = parts.simulation(inputs, output);
         simulation.check()?;
-        let asked = asked.on_machine(|_| simulation.input_bytes())?;
-        let (listener, cancel) = (asked.event, asked.control.cancel());
-        let simulation = simulation.reconstruction(asked.request.clone());
+        let parts = parts.on_machine(|_| simulation.input_bytes())?;
+        let (listener, cancel) = (parts.event, parts.control.cancel());
+        let simulation = simulation.reconstruction(parts.request.clone());
         let summaries = simulation.run(|event| notify(listener, &event, cancel))?;
         let all = summed(&summaries);
         if !summary.is_null() {
@@ -256,7 +257,8 @@ fn summed(summaries: &[Summary]) -> MeniscusSummary {
     }
 }
 
-/// Returns an error that describes the first failed or missing frame, if there is one.
+/// Returns an error if frames or simulations failed, or if frames are missing. The message
+/// describes the first of these faults.
 fn incomplete(summaries: &[Summary], all: MeniscusSummary) -> Outcome {
     let failed =
         summaries.iter().flat_map(|one| &one.failed).map(|failed| failed.error.to_string());

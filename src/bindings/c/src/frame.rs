@@ -10,7 +10,7 @@ use crate::control::free;
 use crate::mesh::MeniscusMesh;
 use crate::options::{MeniscusOptions, RequestParts, replacing};
 use crate::particles::{CallerParticles, MeniscusParticles};
-use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
+use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call, catch_panic};
 use crate::text::{path, put};
 
 /// A sampled frame, from which surfaces with different filters can be computed. It must be freed by
@@ -33,7 +33,7 @@ impl MeniscusFrame {
 ///
 /// # Safety
 /// `out` must be NULL or point to a pointer.
-pub unsafe fn making<T>(
+pub unsafe fn store_handle<T>(
     out: *mut *mut T,
     what: &str,
     work: impl FnOnce() -> Outcome<T>,
@@ -55,35 +55,35 @@ pub unsafe fn making<T>(
 ///
 /// # Safety
 /// Pointers must be NULL or point to the described data.
-unsafe fn of_particles<T>(
+unsafe fn with_particles<T>(
     particles: *const MeniscusParticles,
     options: *const MeniscusOptions,
     act: impl FnOnce(&Reconstruction, &CallerParticles) -> Result<T, meniscus::Error>,
 ) -> Outcome<T> {
     // SAFETY: the caller upholds this function's contract.
-    let (particles, asked) =
+    let (particles, parts) =
         unsafe { (CallerParticles::new(particles)?, RequestParts::new(options)?) };
-    let asked = asked.on_machine(|_| Some(particles.bytes()))?;
-    let _active = asked.control.activate();
-    Ok(act(&asked.request, &particles)?)
+    let parts = parts.on_machine(|_| Some(particles.bytes()))?;
+    let _active = parts.control.activate();
+    Ok(act(&parts.request, &particles)?)
 }
 
 /// Runs `act` with a file, while the progress callback is active.
 ///
 /// # Safety
 /// Pointers must be NULL or point to the described data.
-unsafe fn of_file<T>(
+unsafe fn with_file<T>(
     file: *const c_char,
     options: *const MeniscusOptions,
     act: impl FnOnce(&Reconstruction, &Path) -> Result<T, meniscus::Error>,
 ) -> Outcome<T> {
     // SAFETY: the caller upholds this function's contract.
-    let (file, asked) = unsafe { (path(file, "path")?, RequestParts::new(options)?) };
+    let (file, parts) = unsafe { (path(file, "path")?, RequestParts::new(options)?) };
     // Report errors in the request before a device is opened.
-    asked.request.check(&file)?;
-    let asked = asked.for_file(&file)?;
-    let _active = asked.control.activate();
-    Ok(act(&asked.request, &file)?)
+    parts.request.check(&file)?;
+    let parts = parts.for_file(&file)?;
+    let _active = parts.control.activate();
+    Ok(act(&parts.request, &file)?)
 }
 
 /// Reconstructs the surface of particles in memory.
@@ -92,9 +92,9 @@ unsafe fn of_file<T>(
 /// freed by meniscus_mesh_free, or NULL on failure.
 ///
 /// Returns MENISCUS_STATUS_REQUEST if arguments or options are invalid, or if the memory is not
-/// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if positions are not finite
-/// or too far away, or if the particles have no surface. Returns MENISCUS_STATUS_OUTPUT if scratch
-/// files cannot be written.
+/// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if a position is not finite
+/// or too far away and the option "skip-invalid" is not set, or if the particles have no surface.
+/// Returns MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
 ///
 /// Pointers must be NULL or point to the described data; the particles must not change during the
 /// call.
@@ -106,10 +106,10 @@ pub unsafe extern "C" fn meniscus_reconstruct(
 ) -> MeniscusStatus {
     let surface = || {
         // SAFETY: the caller upholds this function's contract.
-        unsafe { of_particles(particles, options, |request, particles| request.run(particles)) }
+        unsafe { with_particles(particles, options, |request, particles| request.run(particles)) }
     };
     // SAFETY: the caller upholds this function's contract.
-    unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
+    unsafe { store_handle(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
 /// Reconstructs the surface of a file's particles, or of a packed frame.
@@ -125,9 +125,9 @@ pub unsafe extern "C" fn meniscus_reconstruct_file(
     mesh: *mut *mut MeniscusMesh,
 ) -> MeniscusStatus {
     // SAFETY: the caller upholds this function's contract.
-    let surface = || unsafe { of_file(path, options, |request, file| request.run_file(file)) };
+    let surface = || unsafe { with_file(path, options, |request, file| request.run_file(file)) };
     // SAFETY: the caller upholds this function's contract.
-    unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
+    unsafe { store_handle(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
 /// Samples particles in memory once, for several surfaces with different settings.
@@ -146,10 +146,12 @@ pub unsafe extern "C" fn meniscus_sample(
 ) -> MeniscusStatus {
     let sampled = || {
         // SAFETY: the caller upholds this function's contract.
-        unsafe { of_particles(particles, options, |request, particles| request.sample(particles)) }
+        unsafe {
+            with_particles(particles, options, |request, particles| request.sample(particles))
+        }
     };
     // SAFETY: the caller upholds this function's contract.
-    unsafe { making(frame, "frame", || sampled().map(MeniscusFrame::new)) }
+    unsafe { store_handle(frame, "frame", || sampled().map(MeniscusFrame::new)) }
 }
 
 /// Samples a file's particles once, or opens a packed frame.
@@ -163,9 +165,9 @@ pub unsafe extern "C" fn meniscus_sample_file(
 ) -> MeniscusStatus {
     // SAFETY: the caller upholds this function's contract.
     let sampled =
-        || unsafe { of_file(path, options, |request, file| request.open(file)?.sample()) };
+        || unsafe { with_file(path, options, |request, file| request.open(file)?.sample()) };
     // SAFETY: the caller upholds this function's contract.
-    unsafe { making(frame, "frame", || sampled().map(MeniscusFrame::new)) }
+    unsafe { store_handle(frame, "frame", || sampled().map(MeniscusFrame::new)) }
 }
 
 /// Returns the frame of a handle, or an error if the handle is NULL.
@@ -199,12 +201,12 @@ pub unsafe extern "C" fn meniscus_frame_surface(
             return Ok(frame.surface()?);
         }
         // SAFETY: the caller upholds this function's contract.
-        let asked = unsafe { RequestParts::new(options) }?;
-        let _active = asked.control.activate();
-        Ok(frame.surface_by(&asked.request)?)
+        let parts = unsafe { RequestParts::new(options) }?;
+        let _active = parts.control.activate();
+        Ok(frame.surface_by(&parts.request)?)
     };
     // SAFETY: the caller upholds this function's contract.
-    unsafe { making(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
+    unsafe { store_handle(mesh, "mesh", || surface().map(MeniscusMesh::new)) }
 }
 
 /// Packs a frame into a .mnf file, which meniscus_reconstruct_file and meniscus_sample_file can
@@ -252,7 +254,7 @@ pub unsafe extern "C" fn meniscus_frame_warning(
 ) -> *const c_char {
     // SAFETY: the caller upholds this function's contract.
     let frame = unsafe { frame.as_ref() };
-    ask(null(), || {
+    catch_panic(null(), || {
         frame.and_then(|frame| frame.warnings.get(index)).map_or(null(), |text| text.as_ptr())
     })
 }

@@ -4,11 +4,11 @@ use meniscus::{LiveSimulation, Reconstruction};
 use parking_lot::Mutex;
 
 use crate::control::{Control, free};
-use crate::frame::making;
+use crate::frame::store_handle;
 use crate::mesh::MeniscusMesh;
 use crate::options::{MeniscusOptions, RequestParts};
 use crate::particles::{CallerParticles, MeniscusParticles};
-use crate::status::{Failure, MeniscusStatus, ask};
+use crate::status::{Failure, MeniscusStatus, catch_panic};
 
 /// A simulation whose frames come from memory, in order. It must be freed by
 /// meniscus_simulation_free.
@@ -35,14 +35,14 @@ pub unsafe extern "C" fn meniscus_simulation_new(
 ) -> MeniscusStatus {
     let started = || {
         // SAFETY: the caller upholds this function's contract.
-        let asked = unsafe { RequestParts::new(options) }?.on_machine(|_| None)?;
+        let parts = unsafe { RequestParts::new(options) }?.on_machine(|_| None)?;
         Ok(MeniscusSimulation {
-            live: Mutex::new(LiveSimulation::new(&asked.request)?),
-            control: asked.control,
+            live: Mutex::new(LiveSimulation::new(&parts.request)?),
+            control: parts.control,
         })
     };
     // SAFETY: the caller upholds this function's contract.
-    unsafe { making(simulation, "simulation", started) }
+    unsafe { store_handle(simulation, "simulation", started) }
 }
 
 /// Reconstructs the surface of the next frame.
@@ -76,7 +76,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
         Ok(MeniscusMesh::new(live.frame(&particles)?))
     };
     // SAFETY: the caller upholds this function's contract.
-    unsafe { making(mesh, "mesh", made) }
+    unsafe { store_handle(mesh, "mesh", made) }
 }
 
 /// Returns 1 if cells, grid and calibration are fixed, and 0 otherwise. Also returns 0 for NULL,
@@ -90,7 +90,7 @@ pub unsafe extern "C" fn meniscus_simulation_is_settled(
     // SAFETY: the caller upholds this function's contract.
     let simulation = unsafe { simulation.as_ref() };
     let live = simulation.and_then(|simulation| simulation.live.try_lock());
-    ask(0, || live.is_some_and(|live| live.is_settled()).into())
+    catch_panic(0, || live.is_some_and(|live| live.is_settled()).into())
 }
 
 /// Frees a simulation; NULL is ignored. Its meshes stay valid.

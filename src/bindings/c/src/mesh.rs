@@ -13,8 +13,8 @@ use meniscus::{Error, Surface};
 use crate::control::free;
 use crate::options::replacing;
 use crate::report::{MeniscusCheck, MeniscusReport};
-use crate::sized::{Growing, check, fill};
-use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
+use crate::sized::{SizedStruct, check, fill};
+use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call, catch_panic};
 use crate::text::{buffer, path, put};
 
 /// A surface: a closed, oriented 2-manifold around the fluid. It must be freed by
@@ -26,7 +26,7 @@ pub struct MeniscusMesh {
     outline: Outline,
     names: Vec<CString>,
     warnings: Vec<CString>,
-    lent: OnceLock<MeshInMemory>,
+    in_memory: OnceLock<MeshInMemory>,
 }
 
 /// The complete mesh in memory, for [`meniscus_mesh_arrays`].
@@ -79,7 +79,7 @@ pub struct MeniscusArrays {
 }
 
 // SAFETY: all fields are numbers or nullable pointers.
-unsafe impl Growing for MeniscusArrays {
+unsafe impl SizedStruct for MeniscusArrays {
     const NAME: &str = "MeniscusArrays";
 }
 
@@ -98,14 +98,14 @@ impl MeniscusMesh {
             warnings: warnings.map(c_text).collect(),
             outline,
             surface,
-            lent: OnceLock::new(),
+            in_memory: OnceLock::new(),
         }
     }
 
     /// Returns the complete mesh in memory. The first call creates it.
-    fn lent(&self) -> Outcome<&MeshInMemory> {
-        if let Some(lent) = self.lent.get() {
-            return Ok(lent);
+    fn mesh_in_memory(&self) -> Outcome<&MeshInMemory> {
+        if let Some(existing) = self.in_memory.get() {
+            return Ok(existing);
         }
         let mesh = self.surface.to_mesh()?;
         let attribute =
@@ -116,7 +116,7 @@ impl MeniscusMesh {
             };
         let attributes = mesh.attributes.iter().zip(&self.names).map(attribute).collect();
         // If another thread has created the mesh meanwhile, this returns that mesh.
-        Ok(self.lent.get_or_init(|| MeshInMemory { mesh, attributes }))
+        Ok(self.in_memory.get_or_init(|| MeshInMemory { mesh, attributes }))
     }
 
     /// Copies the mesh's values into the buffer `out`, which must have room for `needed` values.
@@ -158,10 +158,10 @@ impl MeniscusMesh {
 
     /// Returns the attribute with this index, or an error if there is no such attribute.
     fn attribute(&self, index: usize) -> Outcome<&AttributeInfo> {
-        let there = self.names.len();
-        let none =
-            || Failure::request(format!("no attribute number {index}: the mesh has {there}"));
-        self.outline.attributes.get(index).ok_or_else(none)
+        let count = self.names.len();
+        let missing =
+            || Failure::request(format!("no attribute number {index}: the mesh has {count}"));
+        self.outline.attributes.get(index).ok_or_else(missing)
     }
 
     unsafe fn copy_attribute<T>(
@@ -204,13 +204,13 @@ unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
 ///
 /// # Safety
 /// The requirements of [`of`].
-unsafe fn asked<T: Copy>(
+unsafe fn query<T: Copy>(
     mesh: *const MeniscusMesh,
     none: T,
     what: impl FnOnce(&MeniscusMesh) -> T,
 ) -> T {
     // SAFETY: the caller upholds this function's contract.
-    unsafe { mesh.as_ref() }.map_or(none, |mesh| ask(none, || what(mesh)))
+    unsafe { mesh.as_ref() }.map_or(none, |mesh| catch_panic(none, || what(mesh)))
 }
 
 /// Frees a mesh, including its arrays, names and warnings; NULL is ignored.
@@ -228,7 +228,7 @@ pub unsafe extern "C" fn meniscus_mesh_free(mesh: *mut MeniscusMesh) {
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -> u64 {
     // SAFETY: the caller upholds this function's contract.
-    unsafe { asked(mesh, 0, |mesh| mesh.outline.vertices) }
+    unsafe { query(mesh, 0, |mesh| mesh.outline.vertices) }
 }
 
 /// Returns the number of triangles; 0 for NULL.
@@ -237,7 +237,7 @@ pub unsafe extern "C" fn meniscus_mesh_vertex_count(mesh: *const MeniscusMesh) -
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh) -> u64 {
     // SAFETY: the caller upholds this function's contract.
-    unsafe { asked(mesh, 0, |mesh| mesh.outline.triangles) }
+    unsafe { query(mesh, 0, |mesh| mesh.outline.triangles) }
 }
 
 /// Returns 1 if the vertices have normals, and 0 otherwise; 0 for NULL.
@@ -246,7 +246,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangle_count(mesh: *const MeniscusMesh)
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) -> i32 {
     // SAFETY: the caller upholds this function's contract.
-    unsafe { asked(mesh, 0, |mesh| mesh.outline.normals.into()) }
+    unsafe { query(mesh, 0, |mesh| mesh.outline.normals.into()) }
 }
 
 /// Returns the number of vertex attributes, not counting normals; 0 for NULL.
@@ -255,7 +255,7 @@ pub unsafe extern "C" fn meniscus_mesh_has_normals(mesh: *const MeniscusMesh) ->
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_attribute_count(mesh: *const MeniscusMesh) -> usize {
     // SAFETY: the caller upholds this function's contract.
-    unsafe { asked(mesh, 0, |mesh| mesh.names.len()) }
+    unsafe { query(mesh, 0, |mesh| mesh.names.len()) }
 }
 
 /// Returns the name of the attribute with this index, or NULL if there is no such attribute. The
@@ -269,7 +269,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_name(
 ) -> *const c_char {
     // SAFETY: the caller upholds this function's contract.
     unsafe {
-        asked(mesh, null(), |mesh| mesh.names.get(index).map_or(null(), |name| name.as_ptr()))
+        query(mesh, null(), |mesh| mesh.names.get(index).map_or(null(), |name| name.as_ptr()))
     }
 }
 
@@ -284,7 +284,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_components(
 ) -> u64 {
     // SAFETY: the caller upholds this function's contract.
     unsafe {
-        asked(mesh, 0, |mesh| {
+        query(mesh, 0, |mesh| {
             mesh.outline.attributes.get(index).map_or(0, |info| info.components as u64)
         })
     }
@@ -403,7 +403,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_is_whole(
 ) -> i32 {
     // SAFETY: the caller upholds this function's contract.
     unsafe {
-        asked(mesh, 0, |mesh| {
+        query(mesh, 0, |mesh| {
             mesh.outline.attributes.get(index).is_some_and(|info| info.kind.is_whole()).into()
         })
     }
@@ -478,8 +478,8 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
         // Check the argument before the expensive copy of the mesh.
         // SAFETY: the caller upholds this function's contract.
         unsafe { check(arrays, "arrays") }?;
-        let MeshInMemory { mesh, attributes } = mesh.lent()?;
-        let lent = MeniscusArrays {
+        let MeshInMemory { mesh, attributes } = mesh.mesh_in_memory()?;
+        let filled = MeniscusArrays {
             size: size_of::<MeniscusArrays>(),
             vertex_count: mesh.positions.len() as u64,
             triangle_count: mesh.triangles.len() as u64,
@@ -490,7 +490,7 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
             attribute_count: attributes.len(),
         };
         // SAFETY: the caller upholds this function's contract.
-        unsafe { fill(arrays, lent, "arrays") }
+        unsafe { fill(arrays, filled, "arrays") }
     })
 }
 
@@ -500,7 +500,7 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn meniscus_mesh_warning_count(mesh: *const MeniscusMesh) -> usize {
     // SAFETY: the caller upholds this function's contract.
-    unsafe { asked(mesh, 0, |mesh| mesh.warnings.len()) }
+    unsafe { query(mesh, 0, |mesh| mesh.warnings.len()) }
 }
 
 /// Returns the warning with this index, or NULL if there is no such warning. The text is valid
@@ -514,7 +514,7 @@ pub unsafe extern "C" fn meniscus_mesh_warning(
 ) -> *const c_char {
     // SAFETY: the caller upholds this function's contract.
     unsafe {
-        asked(mesh, null(), |mesh| mesh.warnings.get(index).map_or(null(), |text| text.as_ptr()))
+        query(mesh, null(), |mesh| mesh.warnings.get(index).map_or(null(), |text| text.as_ptr()))
     }
 }
 
@@ -546,7 +546,7 @@ pub unsafe extern "C" fn meniscus_mesh_check(
         let mesh = unsafe { of(mesh) }?;
         // SAFETY: the caller upholds this function's contract.
         unsafe { self::check(check, "check") }?;
-        let whole = &mesh.lent()?.mesh;
+        let whole = &mesh.mesh_in_memory()?.mesh;
         let (found, measures) = on_threads(mesh.surface.report().threads, || {
             (mesh::check(whole), mesh::measure(whole))
         })?;

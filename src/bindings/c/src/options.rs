@@ -17,15 +17,17 @@ use meniscus::{
 
 use crate::control::{Control, Listener, MeniscusCancel, MeniscusProgressCallback, free};
 use crate::conversion::{EventListener, MeniscusEventCallback};
-use crate::status::{Failure, MeniscusStatus, Outcome, ask, c_text, call};
+use crate::status::{Failure, MeniscusStatus, Outcome, c_text, call, catch_panic};
 use crate::text::{array, optional, optional_path, path};
 
 /// Options of a call. Their keys are the names of the program's options: "spacing", "cell-size",
 /// "threads". They must be freed by meniscus_options_free.
 ///
 /// `meniscus reconstruct --help` documents the options, and meniscus_options_key lists their keys.
-/// An option that is not set has the program's default, with one exception: all stages run on the
-/// CPU unless "backend" or "device" is set. A call with NULL instead of options uses all defaults.
+/// An option that is not set has the program's default, with two exceptions. All stages run on the
+/// CPU unless "backend" or "device" is set. Functions other than meniscus_convert write scratch
+/// files to the system's temporary folder unless "scratch" is set. A call with NULL instead of
+/// options uses all defaults.
 ///
 /// A call copies the options when it starts, so they may be changed or freed as soon as it returns.
 /// Several threads may use the same options at the same time, as long as no thread changes or frees
@@ -213,7 +215,7 @@ impl MeniscusOptions {
     }
 
     /// Sets the option called `key`, or returns an error that describes the invalid key or value.
-    fn set_or_refuse<S: Source<Error = String> + Debug>(
+    fn set_or_error<S: Source<Error = String> + Debug>(
         &mut self,
         key: &str,
         value: Option<&S>,
@@ -224,9 +226,9 @@ impl MeniscusOptions {
                 "no option has the key {key:?}; meniscus_options_key lists all keys"
             ))),
             Err(expected) => {
-                let given = value.map_or_else(String::new, |value| format!("{value:?}"));
-                let given: String = given.chars().take(LONGEST_VALUE).collect();
-                Err(Failure::request(format!("{key}: {expected}, got {given}")))
+                let shown = value.map_or_else(String::new, |value| format!("{value:?}"));
+                let shown: String = shown.chars().take(LONGEST_VALUE).collect();
+                Err(Failure::request(format!("{key}: {expected}, got {shown}")))
             }
         }
     }
@@ -254,10 +256,10 @@ impl RequestParts {
     /// `options` must be NULL or a handle that has not been freed.
     pub unsafe fn new(options: *const MeniscusOptions) -> Outcome<Self> {
         // SAFETY: the caller upholds this function's contract.
-        let asked = unsafe { Self::for_frames(options) };
-        match asked.frames.first() {
+        let parts = unsafe { Self::for_frames(options) };
+        match parts.frames.first() {
             Some(key) => Err(Failure::request(format!("{key} works only with meniscus_convert"))),
-            None => Ok(asked),
+            None => Ok(parts),
         }
     }
 
@@ -345,7 +347,7 @@ unsafe fn key<'a>(key: *const c_char) -> Outcome<&'a str> {
 /// Creates options with default values. They must be freed by meniscus_options_free.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_new() -> *mut MeniscusOptions {
-    ask(std::ptr::null_mut(), || Box::into_raw(Box::default()))
+    catch_panic(std::ptr::null_mut(), || Box::into_raw(Box::default()))
 }
 
 /// Copies options, including their callbacks and their cancel handle. The copy must be freed by
@@ -358,7 +360,9 @@ pub unsafe extern "C" fn meniscus_options_copy(
 ) -> *mut MeniscusOptions {
     // SAFETY: the caller upholds this function's contract.
     let options = unsafe { options.as_ref() };
-    ask(std::ptr::null_mut(), || Box::into_raw(Box::new(options.cloned().unwrap_or_default())))
+    catch_panic(std::ptr::null_mut(), || {
+        Box::into_raw(Box::new(options.cloned().unwrap_or_default()))
+    })
 }
 
 /// Frees options; NULL is ignored.
@@ -400,7 +404,7 @@ pub unsafe extern "C" fn meniscus_options_set(
         }
         // SAFETY: the caller upholds this function's contract.
         let text = unsafe { optional(value, key) }?;
-        options.set_or_refuse(key, text.as_ref())
+        options.set_or_error(key, text.as_ref())
     })
 }
 
@@ -417,7 +421,7 @@ pub unsafe extern "C" fn meniscus_options_set_number(
     call(|| {
         // SAFETY: the caller upholds this function's contract.
         let (options, key) = unsafe { (of(options)?, self::key(key)?) };
-        options.set_or_refuse(key, Some(&[value].as_slice()))
+        options.set_or_error(key, Some(&[value].as_slice()))
     })
 }
 
@@ -438,7 +442,7 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
         let (options, key) = unsafe { (of(options)?, self::key(key)?) };
         // SAFETY: the caller upholds this function's contract.
         let numbers = unsafe { array(values, count, key) }?;
-        options.set_or_refuse(key, Some(&numbers))
+        options.set_or_error(key, Some(&numbers))
     })
 }
 
@@ -510,14 +514,14 @@ static KEYS: LazyLock<Vec<(CString, CString)>> = LazyLock::new(|| {
 /// static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_key(index: usize) -> *const c_char {
-    ask(null(), || KEYS.get(index).map_or(null(), |(key, _)| key.as_ptr()))
+    catch_panic(null(), || KEYS.get(index).map_or(null(), |(key, _)| key.as_ptr()))
 }
 
 /// Returns one line of help on the option with this index, or NULL if there is no such option. The
 /// string is static.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_options_help(index: usize) -> *const c_char {
-    ask(null(), || KEYS.get(index).map_or(null(), |(_, help)| help.as_ptr()))
+    catch_panic(null(), || KEYS.get(index).map_or(null(), |(_, help)| help.as_ptr()))
 }
 
 /// Checks in advance that a mesh can be written to `path`, whose extension selects the format, and
@@ -535,8 +539,8 @@ pub unsafe extern "C" fn meniscus_check_output(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (path, asked) = unsafe { (self::path(path, "path")?, RequestParts::new(options)?) };
-        asked.request.output(&path, replacing(overwrite))?;
+        let (path, parts) = unsafe { (self::path(path, "path")?, RequestParts::new(options)?) };
+        parts.request.output(&path, replacing(overwrite))?;
         Ok(())
     })
 }

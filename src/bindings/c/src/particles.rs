@@ -6,7 +6,7 @@ use std::slice::from_raw_parts;
 use meniscus::Particles;
 use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
 
-use crate::sized::{Growing, read};
+use crate::sized::{SizedStruct, read};
 use crate::status::{Failure, Outcome};
 use crate::text::optional;
 
@@ -48,7 +48,7 @@ pub struct MeniscusAttribute {
     /// default, the vertices get only the attribute "velocity", if it has three components. Other
     /// common names of the velocity, such as "v" or "vel", are also recognised.
     pub name: *const c_char,
-    /// The first number of the first particle; need not be aligned.
+    /// The address of the first number of the first particle; need not be aligned.
     pub values: *const std::ffi::c_void,
     /// Bytes from one particle to the next; 0 if values are contiguous. May be negative.
     pub stride: isize,
@@ -76,7 +76,7 @@ pub struct MeniscusParticles {
     pub size: usize,
     /// The number of particles.
     pub count: u64,
-    /// The x coordinate of the first particle; need not be aligned.
+    /// The address of the x coordinate of the first particle; need not be aligned.
     pub positions: *const std::ffi::c_void,
     /// Bytes from one particle's x to the next particle's x; 0 if positions are contiguous. May be
     /// negative.
@@ -94,12 +94,12 @@ pub struct MeniscusParticles {
 }
 
 // SAFETY: all fields are numbers or nullable pointers.
-unsafe impl Growing for MeniscusAttribute {
+unsafe impl SizedStruct for MeniscusAttribute {
     const NAME: &str = "MeniscusAttribute";
 }
 
 // SAFETY: all fields are numbers or nullable pointers.
-unsafe impl Growing for MeniscusParticles {
+unsafe impl SizedStruct for MeniscusParticles {
     const NAME: &str = "MeniscusParticles";
 }
 
@@ -120,8 +120,8 @@ struct Numbers {
 }
 
 impl Numbers {
-    /// Rejects the layout if some numbers of `count` particles would lie outside the address space.
-    fn refuse_unaddressable(&self, count: usize, what: &str) -> Outcome {
+    /// Returns an error if some numbers of `count` particles would lie outside the address space.
+    fn check_address_range(&self, count: usize, what: &str) -> Outcome {
         if count == 0 {
             return Ok(());
         }
@@ -165,7 +165,7 @@ impl Numbers {
     /// The particle must exist, and its memory must be valid.
     unsafe fn get(&self, particle: usize, component: usize) -> f64 {
         let offset = particle as isize * self.stride + component as isize * self.component_stride;
-        // SAFETY: the caller guarantees this number's memory, and `refuse_unaddressable` has
+        // SAFETY: the caller guarantees this number's memory, and `check_address_range` has
         // checked that no offset overflows.
         unsafe {
             let at = self.at.offset(offset);
@@ -193,7 +193,7 @@ impl MeniscusType {
 
     /// The kind of an attribute whose numbers have this type. The same rule applies to attributes
     /// in files.
-    fn meaning(self, info: &AttributeInfo) -> AttributeKind {
+    fn attribute_kind(self, info: &AttributeInfo) -> AttributeKind {
         match self {
             Self::F32 | Self::F64 => info.kind,
             _ if info.kind.is_colour() => AttributeKind::WholeColour,
@@ -204,7 +204,7 @@ impl MeniscusType {
     }
 }
 
-/// The caller's particles. Their layout is checked, but their memory cannot be.
+/// The caller's particles. [`new`](Self::new) checks their layout, but cannot check their memory.
 #[derive(Debug)]
 pub struct CallerParticles {
     count: usize,
@@ -222,52 +222,52 @@ impl CallerParticles {
     /// Reads and checks the caller's structure.
     ///
     /// # Safety
-    /// `at` must be NULL or point to a structure with its size in its first field. The same applies
-    /// to its attributes. The particles' data must exist and stay unchanged as long as the result
-    /// lives.
+    /// `at` must be NULL or point to a structure with its size in its first field. Its attributes
+    /// must also have their size in their first field. The particles' data must exist and stay
+    /// unchanged as long as the result lives.
     pub unsafe fn new(at: *const MeniscusParticles) -> Outcome<Self> {
         // SAFETY: the caller upholds this function's contract.
-        let given = unsafe { read(at, "particles") }?;
-        let number = MeniscusType::of(given.number, "particles.number")?;
+        let raw = unsafe { read(at, "particles") }?;
+        let number = MeniscusType::of(raw.number, "particles.number")?;
         if number.is_whole() {
             return Err(Failure::request(format!(
                 "particles.number is {}, but must be MENISCUS_TYPE_F32 or MENISCUS_TYPE_F64",
-                given.number
+                raw.number
             )));
         }
-        if given.reserved != 0 {
+        if raw.reserved != 0 {
             return Err(Failure::request(format!(
                 "particles.reserved is {}, but must be 0",
-                given.reserved
+                raw.reserved
             )));
         }
-        let Ok(count) = usize::try_from(given.count) else {
+        let Ok(count) = usize::try_from(raw.count) else {
             return Err(Failure::request(format!(
                 "particles.count is {}, which is too large for this machine",
-                given.count
+                raw.count
             )));
         };
         let positions = Numbers {
-            at: given.positions.cast(),
+            at: raw.positions.cast(),
             number,
-            stride: given.stride,
-            component_stride: given.component_stride,
+            stride: raw.stride,
+            component_stride: raw.component_stride,
             components: 3,
         }
         .with_strides();
-        positions.refuse_unaddressable(count, "particles.positions")?;
+        positions.check_address_range(count, "particles.positions")?;
         let mut particles = Self { count, positions, attributes: Vec::new(), values: Vec::new() };
         // SAFETY: the caller upholds this function's contract.
-        unsafe { particles.take(given.attributes, given.attribute_count) }?;
+        unsafe { particles.read_attributes(raw.attributes, raw.attribute_count) }?;
         Ok(particles)
     }
 
-    /// Reads the array of attributes. Its stride is the size stated in its structures, because the
-    /// structures of an older caller are smaller.
+    /// Reads the array of attributes. The stride of the array is the size that its structures
+    /// state, because the structures of a caller with an older header are smaller.
     ///
     /// # Safety
     /// The requirements of [`new`](Self::new).
-    unsafe fn take(&mut self, at: *const MeniscusAttribute, count: usize) -> Outcome {
+    unsafe fn read_attributes(&mut self, at: *const MeniscusAttribute, count: usize) -> Outcome {
         if count == 0 {
             return Ok(());
         }
@@ -285,14 +285,14 @@ impl CallerParticles {
         for index in 0..count {
             let what = format!("particles.attributes[{index}]");
             // SAFETY: the caller guarantees the array, and all previous structures have this size.
-            let given = unsafe { read(at.byte_add(index * size), &what) }?;
-            if index > 0 && given.size != size {
-                let sizes = format!("is {}, but {size} in previous attributes", given.size);
+            let raw = unsafe { read(at.byte_add(index * size), &what) }?;
+            if index > 0 && raw.size != size {
+                let sizes = format!("is {}, but {size} in previous attributes", raw.size);
                 return Err(Failure::request(format!("{what}.size {sizes}")));
             }
-            size = given.size;
+            size = raw.size;
             // SAFETY: the caller upholds this function's contract.
-            let name = unsafe { optional(given.name, &format!("{what}.name")) }?;
+            let name = unsafe { optional(raw.name, &format!("{what}.name")) }?;
             let name = name.filter(|name| !name.is_empty());
             let name =
                 name.ok_or_else(|| Failure::request(format!("{what}.name is NULL or empty")))?;
@@ -301,28 +301,29 @@ impl CallerParticles {
                     "{what}.name: another attribute is called {name:?}"
                 )));
             }
-            if !(1..=MOST_COMPONENTS).contains(&given.components) {
-                let range = format!("is {}, but must be 1 to {MOST_COMPONENTS}", given.components);
+            if !(1..=MOST_COMPONENTS).contains(&raw.components) {
+                let range = format!("is {}, but must be 1 to {MOST_COMPONENTS}", raw.components);
                 return Err(Failure::request(format!("{what}.components {range}")));
             }
             let numbers = Numbers {
-                at: given.values.cast(),
-                number: MeniscusType::of(given.number, &format!("{what}.number"))?,
-                stride: given.stride,
-                component_stride: given.component_stride,
-                components: given.components as usize,
+                at: raw.values.cast(),
+                number: MeniscusType::of(raw.number, &format!("{what}.number"))?,
+                stride: raw.stride,
+                component_stride: raw.component_stride,
+                components: raw.components as usize,
             }
             .with_strides();
-            numbers.refuse_unaddressable(self.count, &format!("{what}.values"))?;
+            numbers.check_address_range(self.count, &format!("{what}.values"))?;
             let info = AttributeInfo::new(name, numbers.components);
-            let kind = numbers.number.meaning(&info);
+            let kind = numbers.number.attribute_kind(&info);
             self.attributes.push(AttributeInfo { kind, ..info });
             self.values.push(numbers);
         }
         Ok(())
     }
 
-    /// Size, in bytes, of all positions, which decides whether a device is worthwhile.
+    /// Size, in bytes, of all positions. With the backend "auto", this size determines whether the
+    /// library uses a device.
     pub fn bytes(&self) -> u64 {
         (self.count as u64).saturating_mul(3 * self.positions.number.bytes() as u64)
     }
@@ -347,7 +348,7 @@ impl Particles for CallerParticles {
     }
 
     fn positions(&self, first: usize, out: &mut [[f64; 3]]) {
-        assert!(first + out.len() <= self.count, "particles beyond the last");
+        assert!(first + out.len() <= self.count, "particle index out of range");
         let from = &self.positions;
         // The library reads slices of contiguous positions faster than single numbers.
         if from.number == MeniscusType::F32 && from.is_packed::<f32>() {
@@ -371,7 +372,7 @@ impl Particles for CallerParticles {
 
     fn attribute(&self, index: usize, first: usize, out: &mut [f32]) {
         let from = &self.values[index];
-        assert!(first + out.len() / from.components <= self.count, "particles beyond the last");
+        assert!(first + out.len() / from.components <= self.count, "particle index out of range");
         for (particle, to) in (first..).zip(out.chunks_exact_mut(from.components)) {
             for (component, to) in to.iter_mut().enumerate() {
                 // SAFETY: the index was checked above, so the particle exists.
@@ -382,7 +383,10 @@ impl Particles for CallerParticles {
 
     fn component(&self, (index, component): (usize, usize), first: usize, out: &mut [f64]) {
         let from = &self.values[index];
-        assert!(component < from.components && first + out.len() <= self.count, "no such number");
+        assert!(
+            component < from.components && first + out.len() <= self.count,
+            "component or particle out of range"
+        );
         for (particle, to) in (first..).zip(out) {
             // SAFETY: the index was checked above, so the particle exists.
             *to = unsafe { from.get(particle, component) };
@@ -391,7 +395,7 @@ impl Particles for CallerParticles {
 
     fn integers(&self, index: usize, first: usize, out: &mut [i64]) {
         let from = &self.values[index];
-        assert!(first + out.len() / from.components <= self.count, "particles beyond the last");
+        assert!(first + out.len() / from.components <= self.count, "particle index out of range");
         for (particle, to) in (first..).zip(out.chunks_exact_mut(from.components)) {
             for (component, to) in to.iter_mut().enumerate() {
                 // f64 represents all 32-bit integers exactly.
@@ -407,7 +411,7 @@ mod tests {
     use super::*;
     use std::ptr::null;
 
-    fn given() -> MeniscusParticles {
+    fn two_particles() -> MeniscusParticles {
         MeniscusParticles {
             size: size_of::<MeniscusParticles>(),
             count: 2,
@@ -440,31 +444,31 @@ mod tests {
                 positions: by_axis.as_ptr().cast(),
                 stride: 8,
                 component_stride: 16,
-                ..given()
+                ..two_particles()
             },
             MeniscusParticles {
                 positions: odd[1..].as_ptr().cast(),
                 stride: 8,
                 component_stride: 16,
-                ..given()
+                ..two_particles()
             },
             MeniscusParticles {
                 positions: backwards[5..].as_ptr().cast(),
                 stride: -24,
                 component_stride: -8,
-                ..given()
+                ..two_particles()
             },
             MeniscusParticles {
                 positions: narrow[1..].as_ptr().cast(),
                 stride: 16,
                 number: 0,
-                ..given()
+                ..two_particles()
             },
         ];
-        for given in all {
+        for structure in all {
             // SAFETY: the arrays live longer than `particles`.
-            let particles = unsafe { CallerParticles::new(&raw const given) }.unwrap();
-            assert_eq!(read_all(&particles), expected, "{given:?}");
+            let particles = unsafe { CallerParticles::new(&raw const structure) }.unwrap();
+            assert_eq!(read_all(&particles), expected, "{structure:?}");
         }
     }
 
@@ -472,17 +476,18 @@ mod tests {
     fn positions_that_cannot_fit_in_memory_are_refused() {
         let one = [0.0_f64; 3];
         let positions = one.as_ptr().cast();
-        for given in [
-            MeniscusParticles { positions, count: u64::MAX, ..given() },
-            MeniscusParticles { positions, count: u64::MAX / 2, stride: 1, ..given() },
-            MeniscusParticles { positions, count: 1 << 62, ..given() },
-            MeniscusParticles { positions, stride: isize::MAX, ..given() },
-            MeniscusParticles { positions, stride: isize::MIN, ..given() },
-            MeniscusParticles { positions, component_stride: isize::MIN / 2, ..given() },
-            MeniscusParticles { positions: null(), ..given() },
+        for structure in [
+            MeniscusParticles { positions, count: u64::MAX, ..two_particles() },
+            MeniscusParticles { positions, count: u64::MAX / 2, stride: 1, ..two_particles() },
+            MeniscusParticles { positions, count: 1 << 62, ..two_particles() },
+            MeniscusParticles { positions, stride: isize::MAX, ..two_particles() },
+            MeniscusParticles { positions, stride: isize::MIN, ..two_particles() },
+            MeniscusParticles { positions, component_stride: isize::MIN / 2, ..two_particles() },
+            MeniscusParticles { positions: null(), ..two_particles() },
         ] {
             // SAFETY: `new` rejects the structure before it reads any position.
-            let message = unsafe { CallerParticles::new(&raw const given) }.unwrap_err().message;
+            let message =
+                unsafe { CallerParticles::new(&raw const structure) }.unwrap_err().message;
             assert!(message.starts_with("particles."), "{message}");
         }
     }

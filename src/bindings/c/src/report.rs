@@ -1,9 +1,10 @@
-//! Structures that describe how a mesh was reconstructed, and its defects and measures.
+//! Structures that describe how a mesh was reconstructed, and structures with the defects and
+//! measures of a mesh.
 
 use meniscus::mesh::{CheckReport, Measures};
 use meniscus::{Report, SpacingSource};
 
-use crate::sized::Growing;
+use crate::sized::SizedStruct;
 
 /// The source of a frame's spacing.
 #[repr(i32)]
@@ -68,7 +69,7 @@ pub struct MeniscusReport {
 }
 
 // SAFETY: all fields are numbers.
-unsafe impl Growing for MeniscusReport {
+unsafe impl SizedStruct for MeniscusReport {
     const NAME: &str = "MeniscusReport";
 }
 
@@ -151,7 +152,7 @@ pub struct MeniscusCheck {
 }
 
 // SAFETY: all fields are numbers.
-unsafe impl Growing for MeniscusCheck {
+unsafe impl SizedStruct for MeniscusCheck {
     const NAME: &str = "MeniscusCheck";
 }
 

@@ -4,7 +4,7 @@
 
 use crate::status::{Failure, Outcome};
 
-/// The largest valid size, in bytes, of any structure.
+/// The largest size, in bytes, that a caller may state for a structure.
 const LARGEST: usize = 4096;
 
 /// A C structure whose first field is its size in bytes, of type `usize`.
@@ -12,7 +12,7 @@ const LARGEST: usize = 4096;
 /// # Safety
 /// All fields are numbers, nullable pointers or nullable callbacks. Therefore zeros are valid, and
 /// all bytes that a caller may write are valid.
-pub unsafe trait Growing: Copy {
+pub unsafe trait SizedStruct: Copy {
     /// The structure's name in C, for messages.
     const NAME: &str;
 }
@@ -21,7 +21,7 @@ pub unsafe trait Growing: Copy {
 ///
 /// # Safety
 /// `at` must be NULL or point to a structure.
-unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
+unsafe fn read_size<T: SizedStruct>(at: *const T, what: &str) -> Outcome<usize> {
     if at.is_null() {
         return Err(Failure::request(format!("{what} is NULL")));
     }
@@ -41,20 +41,21 @@ unsafe fn announced<T: Growing>(at: *const T, what: &str) -> Outcome<usize> {
 ///
 /// # Safety
 /// `at` must be NULL or point to a structure that has the number of bytes stated in its size field.
-pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
+pub unsafe fn read<T: SizedStruct>(at: *const T, what: &str) -> Outcome<T> {
     // SAFETY: the caller upholds this function's contract.
-    let size = unsafe { announced(at, what) }?;
+    let size = unsafe { read_size(at, what) }?;
     // SAFETY: the caller guarantees that the structure has `size` bytes.
     let bytes = unsafe { std::slice::from_raw_parts(at.cast::<u8>(), size) };
     let (known, unknown) = bytes.split_at(size.min(size_of::<T>()));
     if unknown.iter().any(|&byte| byte != 0) {
         return Err(Failure::request(format!(
-            "{what}: a field that this version of meniscus does not know must be 0"
+            "{what}: a field that this version of meniscus does not support must be 0"
         )));
     }
-    // SAFETY: zeros are valid for all fields of a `Growing` structure.
+    // SAFETY: zeros are valid for all fields of a `SizedStruct`.
     let mut value: T = unsafe { std::mem::zeroed() };
-    // SAFETY: `known` is at most as long as `value`, and `Growing` allows all bytes of the caller.
+    // SAFETY: `known` is at most as long as `value`, and all bytes of the caller are valid in a
+    // `SizedStruct`.
     unsafe { std::ptr::copy_nonoverlapping(known.as_ptr(), (&raw mut value).cast(), known.len()) };
     Ok(value)
 }
@@ -63,9 +64,9 @@ pub unsafe fn read<T: Growing>(at: *const T, what: &str) -> Outcome<T> {
 ///
 /// # Safety
 /// The requirements of [`read`].
-pub unsafe fn check<T: Growing>(at: *mut T, what: &str) -> Outcome {
+pub unsafe fn check<T: SizedStruct>(at: *mut T, what: &str) -> Outcome {
     // SAFETY: the caller upholds this function's contract.
-    unsafe { announced(at.cast_const(), what) }.map(drop)
+    unsafe { read_size(at.cast_const(), what) }.map(drop)
 }
 
 /// Fills the caller's structure. If it is smaller than `T`, only the fields that it has are filled.
@@ -73,10 +74,10 @@ pub unsafe fn check<T: Growing>(at: *mut T, what: &str) -> Outcome {
 ///
 /// # Safety
 /// The requirements of [`read`]. Also, no other thread may read or write the structure.
-pub unsafe fn fill<T: Growing>(at: *mut T, value: T, what: &str) -> Outcome {
+pub unsafe fn fill<T: SizedStruct>(at: *mut T, value: T, what: &str) -> Outcome {
     let own = size_of::<usize>();
     // SAFETY: the caller upholds this function's contract.
-    let size = unsafe { announced(at.cast_const(), what) }?;
+    let size = unsafe { read_size(at.cast_const(), what) }?;
     let known = size.min(size_of::<T>());
     let (from, to) = ((&raw const value).cast::<u8>(), at.cast::<u8>());
     // SAFETY: `known` is at most the size of each structure. The copy skips the caller's size
@@ -101,7 +102,7 @@ mod tests {
     }
 
     // SAFETY: all fields are numbers.
-    unsafe impl Growing for Two {
+    unsafe impl SizedStruct for Two {
         const NAME: &str = "Two";
     }
 
@@ -121,16 +122,16 @@ mod tests {
             assert_eq!(read(at(&mut [40, 5, 6, 0, 0]), "two").unwrap(), Two { size: 40, ..whole });
             let unknown = read(at(&mut [40, 5, 6, 0, 1]), "two").unwrap_err().message;
             assert!(unknown.contains("must be 0"), "{unknown}");
-            for nonsense in [0, 7, 12, 4104, u64::MAX] {
-                let message = read(at(&mut [nonsense]), "two").unwrap_err().message;
-                assert_eq!(message, format!("two.size is {nonsense}; set it to sizeof(Two), 24"));
+            for invalid in [0, 7, 12, 4104, u64::MAX] {
+                let message = read(at(&mut [invalid]), "two").unwrap_err().message;
+                assert_eq!(message, format!("two.size is {invalid}; set it to sizeof(Two), 24"));
             }
             assert_eq!(read::<Two>(std::ptr::null(), "two").unwrap_err().message, "two is NULL");
         }
     }
 
     #[test]
-    fn only_the_fields_that_the_caller_knows_are_filled() {
+    fn only_fields_within_the_callers_size_are_filled() {
         let value = Two { size: 24, one: 5, two: 6 };
         // SAFETY: each array is as large as its size field says, or the size is invalid.
         unsafe {

@@ -15,7 +15,8 @@ use meniscus::{Cause, Error};
 pub enum MeniscusStatus {
     /// Success.
     Ok = 0,
-    /// Some frames of a conversion failed or are missing; the other frames are finished.
+    /// Some frames of a conversion failed or are missing, or one of several simulations failed;
+    /// finished frames are kept.
     Incomplete = 1,
     /// An invalid argument or option, or conflicting options; nothing was done.
     Request = 2,
@@ -64,7 +65,7 @@ impl From<Error> for Failure {
 }
 
 thread_local! {
-    static LAST: RefCell<CString> = RefCell::default();
+    static LAST_ERROR: RefCell<CString> = RefCell::default();
 }
 
 /// Converts text to a C string, and removes NUL bytes.
@@ -74,9 +75,9 @@ pub fn c_text(text: impl Into<Vec<u8>>) -> CString {
     CString::new(bytes).unwrap_or_default()
 }
 
-fn keep(message: String) {
-    // In a thread that is ending, `LAST` may no longer exist; the message is then dropped.
-    let _ = LAST.try_with(|last| *last.borrow_mut() = c_text(message));
+fn store_last_error(message: String) {
+    // While a thread is ending, its `LAST_ERROR` may no longer exist; the message is then lost.
+    let _ = LAST_ERROR.try_with(|last| *last.borrow_mut() = c_text(message));
 }
 
 fn panicked(payload: &(dyn Any + Send)) -> Failure {
@@ -88,7 +89,7 @@ fn panicked(payload: &(dyn Any + Send)) -> Failure {
 }
 
 /// Drops the payload of a panic. If dropping it panics, that panic is ignored.
-fn dropped(payload: Box<dyn Any + Send>) {
+fn drop_payload(payload: Box<dyn Any + Send>) {
     if let Err(another) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(another);
     }
@@ -98,24 +99,24 @@ fn dropped(payload: Box<dyn Any + Send>) {
 pub fn call(work: impl FnOnce() -> Outcome) -> MeniscusStatus {
     let outcome = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
         let failure = panicked(&*payload);
-        dropped(payload);
+        drop_payload(payload);
         Err(failure)
     });
     match outcome {
         Ok(()) => MeniscusStatus::Ok,
         Err(Failure { status, message }) => {
-            keep(message);
+            store_last_error(message);
             status
         }
     }
 }
 
-/// Runs a query that cannot fail. If it panics, which is a bug, this stores a message and returns
-/// `otherwise`.
-pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
+/// Runs `work`, which must not fail. If `work` panics, which is a bug, this function stores a
+/// message and returns `otherwise`.
+pub fn catch_panic<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| {
-        keep(panicked(&*payload).message);
-        dropped(payload);
+        store_last_error(panicked(&*payload).message);
+        drop_payload(payload);
         otherwise
     })
 }
@@ -127,7 +128,8 @@ pub fn ask<T>(otherwise: T, work: impl FnOnce() -> T) -> T {
 /// library, and is valid until the next call on this thread fails, or the thread ends.
 #[unsafe(no_mangle)]
 pub extern "C" fn meniscus_last_error() -> *const c_char {
-    LAST.try_with(|last| last.try_borrow().map_or(null(), |text| text.as_ptr()))
+    LAST_ERROR
+        .try_with(|last| last.try_borrow().map_or(null(), |text| text.as_ptr()))
         .unwrap_or(c"".as_ptr())
 }
 
@@ -147,8 +149,8 @@ mod tests {
         assert_eq!(last(), "a bug in meniscus, please report it: number 7");
         assert_eq!(call(|| std::panic::panic_any(7)), MeniscusStatus::Internal);
         assert_eq!(last(), "a bug in meniscus, please report it: a panic");
-        assert_eq!(ask(5, || panic!("asked")), 5);
-        assert_eq!(last(), "a bug in meniscus, please report it: asked");
+        assert_eq!(catch_panic(5, || panic!("query")), 5);
+        assert_eq!(last(), "a bug in meniscus, please report it: query");
     }
 
     #[test]

@@ -75,13 +75,13 @@ pub unsafe fn array<'a, T>(at: *const T, count: usize, what: &str) -> Outcome<&'
     if count == 0 {
         return Ok(&[]);
     }
-    refuse_no_array(at, count, what)?;
+    check_array_address(at, count, what)?;
     // SAFETY: the address was checked, and the caller guarantees its values.
     Ok(unsafe { std::slice::from_raw_parts(at, count) })
 }
 
-/// Rejects an address that cannot hold an array of `count` values.
-fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
+/// Returns an error if an array of `count` values cannot be at the address `at`.
+fn check_array_address<T>(at: *const T, count: usize, what: &str) -> Outcome {
     if at.is_null() {
         return Err(Failure::request(format!("{what} is NULL, but its count is {count}")));
     }
@@ -98,8 +98,8 @@ fn refuse_no_array<T>(at: *const T, count: usize, what: &str) -> Outcome {
     Ok(())
 }
 
-/// Converts the caller's buffer to a slice of `needed` numbers. Returns an error if its `capacity`
-/// is smaller than that.
+/// Converts the caller's buffer to a slice of `needed` values. Returns an error if the buffer has
+/// room for fewer values.
 ///
 /// # Safety
 /// `at` must be NULL or point to memory for `capacity` values. No other thread may use this memory
@@ -120,7 +120,7 @@ pub unsafe fn buffer<'a, T>(
     if needed == 0 {
         return Ok(&mut []);
     }
-    refuse_no_array(at.cast_const(), needed, what)?;
+    check_array_address(at.cast_const(), needed, what)?;
     // SAFETY: the address was checked, and the caller guarantees its memory.
     Ok(unsafe { std::slice::from_raw_parts_mut(at.cast(), needed) })
 }

@@ -4,10 +4,10 @@
 
 static float positions[COUNT][3];
 
-/// Checks the code and the message of a failed call.
-static void refused(MeniscusStatus status, MeniscusStatus expected, const char *message, const void *made, int line) {
+/// Checks that a call has failed with this code and message, and has made nothing.
+static void check_failure(MeniscusStatus status, MeniscusStatus expected, const char *message, const void *made, int line) {
   if (status != expected || made || !strstr(meniscus_last_error(), message)) {
-    fprintf(stderr, "line %d: %d, not %d: %s\n  does not say: %s\n", line, status, expected, meniscus_last_error(), message);
+    fprintf(stderr, "line %d: status %d instead of %d: %s\n  the message must contain: %s\n", line, status, expected, meniscus_last_error(), message);
     exit(1);
   }
 }
@@ -16,36 +16,36 @@ static void refused(MeniscusStatus status, MeniscusStatus expected, const char *
   do {                                                                                                         \
     MeniscusMesh *mesh = (MeniscusMesh *)&positions;                                                           \
     MeniscusStatus status = (call);                                                                            \
-    refused(status, MENISCUS_STATUS_##kind, message, mesh, __LINE__);                                          \
+    check_failure(status, MENISCUS_STATUS_##kind, message, mesh, __LINE__);                                          \
   } while (0)
 
 /// Expects a failure when an option is set, or when particles are reconstructed with the options.
-static void refuse_options(const char *message, const char *const *said, int line) {
+static void check_invalid_options(const char *message, const char *const *pairs, int line) {
   MeniscusOptions *options = meniscus_options_new();
   MeniscusStatus status = MENISCUS_STATUS_OK;
-  for (; *said && status == MENISCUS_STATUS_OK; said += 2) {
-    status = meniscus_options_set(options, said[0], said[1]);
+  for (; *pairs && status == MENISCUS_STATUS_OK; pairs += 2) {
+    status = meniscus_options_set(options, pairs[0], pairs[1]);
   }
   if (status != MENISCUS_STATUS_OK) {
-    refused(status, MENISCUS_STATUS_REQUEST, message, NULL, line);
+    check_failure(status, MENISCUS_STATUS_REQUEST, message, NULL, line);
   } else {
     const MeniscusParticles water = particles_of(positions);
     MeniscusMesh *mesh = (MeniscusMesh *)&positions;
     status = meniscus_reconstruct(&water, options, &mesh);
-    refused(status, MENISCUS_STATUS_REQUEST, message, mesh, line);
+    check_failure(status, MENISCUS_STATUS_REQUEST, message, mesh, line);
     MeniscusSimulation *simulation = (MeniscusSimulation *)&positions;
     status = meniscus_simulation_new(options, &simulation);
     if (status == MENISCUS_STATUS_OK) {  // The library looks up attributes only in frames.
       meniscus_simulation_free(simulation);
     } else {
-      refused(status, MENISCUS_STATUS_REQUEST, message, simulation, line);
+      check_failure(status, MENISCUS_STATUS_REQUEST, message, simulation, line);
     }
   }
   meniscus_options_free(options);
 }
 
 #define OPTION(message, ...) \
-  refuse_options(message, (const char *const[]){__VA_ARGS__, NULL}, __LINE__)
+  check_invalid_options(message, (const char *const[]){__VA_ARGS__, NULL}, __LINE__)
 
 #define PARTICLES(kind, message, ...)                                                                          \
   do {                                                                                                         \
@@ -127,7 +127,7 @@ static void keys_and_values_are_refused(void) {
   MeniscusOptions *options = meniscus_options_new();
   MeniscusParticles water = particles_of(positions);
   const double numbers[] = {NAN, 0, 0, 1, 1, 1};
-#define SET(message, call) refused(call, MENISCUS_STATUS_REQUEST, message, NULL, __LINE__)
+#define SET(message, call) check_failure(call, MENISCUS_STATUS_REQUEST, message, NULL, __LINE__)
   SET("options is NULL", meniscus_options_set(NULL, "spacing", "1"));
   SET("options is NULL", meniscus_options_set_number(NULL, "spacing", 1));
   SET("options is NULL", meniscus_options_on_progress(NULL, NULL, NULL));
@@ -229,7 +229,7 @@ static void files_are_refused(const char *folder) {
 #define WRITE(kind, message, call)                                                                             \
   do {                                                                                                         \
     MeniscusStatus status = (call);                                                                            \
-    refused(status, MENISCUS_STATUS_##kind, message, NULL, __LINE__);                                          \
+    check_failure(status, MENISCUS_STATUS_##kind, message, NULL, __LINE__);                                          \
   } while (0)
   WRITE(REQUEST, "already exists", meniscus_mesh_write(made, path, 0, NULL));
   WRITE(REQUEST, "path is NULL", meniscus_mesh_write(made, NULL, 0, NULL));

@@ -1,11 +1,11 @@
-// Tests all guarantees of the interface except for equal bytes: `behaviour FOLDER`.
+// Tests the guarantees of the interface, except that its files have the same bytes as the program's
+// (same_bytes.c): `behaviour FOLDER`.
 #include "water.h"
 
 static float positions[COUNT][3];
 
-/// Copies with 32-bit and 64-bit numbers contain the same mesh as the arrays in the library's
-/// memory.
-static void copies_are_what_is_lent(void) {
+/// Copies with 32-bit and 64-bit numbers contain the same mesh as the arrays in the library's memory.
+static void copies_equal_arrays(void) {
   static float velocity[COUNT][3], heat[COUNT];
   for (int i = 0; i < COUNT; i++) {
     velocity[i][2] = 3, heat[i] = (float)i;
@@ -73,7 +73,7 @@ static void copies_are_what_is_lent(void) {
 }
 
 /// Integers reach the vertices exactly, even if float cannot represent them.
-static void whole_numbers_are_those_of_particles(void) {
+static void integers_reach_the_vertices_exactly(void) {
   static int32_t below[COUNT];
   static uint32_t above[COUNT][2];
   for (int i = 0; i < COUNT; i++) {
@@ -116,7 +116,7 @@ static void whole_numbers_are_those_of_particles(void) {
 }
 
 /// Positions with any layout in memory give the same mesh.
-static void positions_may_lie_anywhere(void) {
+static void positions_may_have_any_layout(void) {
   static double axes[3][COUNT];
   static char odd[1 + COUNT * 20];
   for (int i = 0; i < COUNT; i++) {
@@ -152,7 +152,7 @@ struct reports {
   int stages[8];
 };
 
-static int32_t hear(void *user, const MeniscusProgress *progress) {
+static int32_t record_progress(void *user, const MeniscusProgress *progress) {
   struct reports *reports = user;
   CHECK(!reports->inside);
   reports->inside = true;
@@ -167,7 +167,7 @@ static void progress_is_reported_and_can_cancel_the_work(const char *folder) {
   MeniscusParticles particles = particles_of(positions);
   struct reports reports = {0};
   MeniscusOptions *options = OPTIONS("simplify", "0.5");
-  OK(meniscus_options_on_progress(options, hear, &reports));
+  OK(meniscus_options_on_progress(options, record_progress, &reports));
   MeniscusMesh *mesh;
   OK(meniscus_reconstruct(&particles, options, &mesh));
   CHECK(reports.stages[MENISCUS_STAGE_COUNTING] && reports.stages[MENISCUS_STAGE_MESHING] && reports.stages[MENISCUS_STAGE_SIMPLIFYING]);
@@ -205,7 +205,7 @@ static void progress_is_reported_and_can_cancel_the_work(const char *folder) {
   meniscus_simulation_free(simulation);
 }
 
-static void a_handle_ends_all_that_is_begun_with_it(void) {
+static void cancel_handle_cancels_all_calls(void) {
   MeniscusParticles particles = particles_of(positions);
   MeniscusCancel *cancel = meniscus_cancel_new();
   MeniscusOptions *options = meniscus_options_new();
@@ -229,7 +229,7 @@ static void a_handle_ends_all_that_is_begun_with_it(void) {
   meniscus_options_free(copy);
 }
 
-static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
+static void a_sampled_frame_gives_several_surfaces(const char *folder) {
   char path[512];
   snprintf(path, sizeof path, "%s/frame.mnf", folder);
   MeniscusParticles particles = particles_of(positions);
@@ -266,7 +266,7 @@ static void a_frame_is_sampled_once_and_surfaced_often(const char *folder) {
   meniscus_mesh_free(mesh);
 }
 
-static void a_simulation_settles_and_its_frames_are_alike(void) {
+static void a_simulation_keeps_the_cells_of_its_first_frame(void) {
   // A cube with this many particles per edge is deeper than the reach of the filters.
   enum { DEEP = 16 };
   static float moved[DEEP * DEEP * DEEP][3];
@@ -290,7 +290,7 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
     meniscus_mesh_free(mesh);
   }
   CHECK(meniscus_simulation_is_settled(simulation) == 1);
-  // A frame of a simulation may be without particles, but a single frame may not.
+  // A frame without particles is valid in a simulation, but not in meniscus_reconstruct.
   MeniscusParticles none = {.size = sizeof none};
   MeniscusMesh *dry;
   MeniscusArrays arrays = {.size = sizeof arrays};
@@ -305,7 +305,7 @@ static void a_simulation_settles_and_its_frames_are_alike(void) {
 
 static int events[13];
 
-static int32_t note(void *user, const MeniscusEvent *event) {
+static int32_t record_event(void *user, const MeniscusEvent *event) {
   CHECK(user == events && event->size >= sizeof *event && event->text);
   events[event->kind]++;
   return 0;
@@ -313,7 +313,7 @@ static int32_t note(void *user, const MeniscusEvent *event) {
 
 /// Cancels before the first frame. If a callback cancelled after this frame, all other frames might
 /// already be finished.
-static int32_t stop(void *user, const MeniscusEvent *event) {
+static int32_t cancel_at_start(void *user, const MeniscusEvent *event) {
   (void)user;
   return event->kind == MENISCUS_EVENT_KIND_STARTED;
 }
@@ -332,14 +332,14 @@ static void a_conversion_reports_finished_and_failed_frames(const char *folder) 
   }
   snprintf(output, sizeof output, "%s/meshes/mesh_{}.ply", folder);
   MeniscusOptions *options = OPTIONS("overwrite", "true", "threads", "1");
-  OK(meniscus_options_on_event(options, note, events));
+  OK(meniscus_options_on_event(options, record_event, events));
   MeniscusSummary summary = {.size = sizeof summary};
   CHECK(meniscus_convert(names, 4, output, options, &summary) == MENISCUS_STATUS_INCOMPLETE);
   CHECK(summary.made == 3 && summary.failed == 1 && strstr(meniscus_last_error(), "water_2.xyz"));
   CHECK(events[MENISCUS_EVENT_KIND_DONE] == 3 && events[MENISCUS_EVENT_KIND_FAILED] == 1);
   CHECK(events[MENISCUS_EVENT_KIND_STARTED] == 1 && events[MENISCUS_EVENT_KIND_ENDED] == 1);
   CHECK(events[MENISCUS_EVENT_KIND_STAGE] > 3 && events[MENISCUS_EVENT_KIND_OTHER] == 0);
-  OK(meniscus_options_on_event(options, stop, NULL));
+  OK(meniscus_options_on_event(options, cancel_at_start, NULL));
   CHECK(meniscus_convert(names, 4, output, options, NULL) == MENISCUS_STATUS_CANCELLED);
   OK(meniscus_options_set(options, "overwrite", "false"));
   CHECK(meniscus_convert(names, 4, output, options, NULL) == MENISCUS_STATUS_REQUEST);
@@ -348,7 +348,7 @@ static void a_conversion_reports_finished_and_failed_frames(const char *folder) 
 
 static int64_t first_done = INT64_MAX, last_done = INT64_MIN;
 
-static int32_t note_frame(void *user, const MeniscusEvent *event) {
+static int32_t record_frame(void *user, const MeniscusEvent *event) {
   (void)user;
   if (event->kind == MENISCUS_EVENT_KIND_DONE) {
     first_done = event->frame < first_done ? event->frame : first_done;
@@ -358,7 +358,7 @@ static int32_t note_frame(void *user, const MeniscusEvent *event) {
 }
 
 /// Frames may have negative numbers, and frames of several inputs with the same number are joined.
-static void frames_before_the_first_are_joined(const char *folder) {
+static void frames_with_negative_numbers_are_joined(const char *folder) {
   char path[512], output[512], inputs[2][512];
   const char *names[] = {inputs[0], inputs[1]};
   for (int part = 0; part < 2; part++) {
@@ -374,7 +374,7 @@ static void frames_before_the_first_are_joined(const char *folder) {
   snprintf(output, sizeof output, "%s/joined/mesh_{}.ply", folder);
   MeniscusOptions *options = OPTIONS("overwrite", "true", "together", "true", "end", "0", "frames", "-1..5");
   OK(meniscus_options_set_number(options, "start", -2));
-  OK(meniscus_options_on_event(options, note_frame, NULL));
+  OK(meniscus_options_on_event(options, record_frame, NULL));
   MeniscusSummary summary = {.size = sizeof summary};
   OK(meniscus_convert(names, 2, output, options, &summary));
   meniscus_options_free(options);
@@ -408,7 +408,7 @@ static void *work(void *threads) {
   return (void *)(uintptr_t)sum;
 }
 
-static void two_threads_do_not_disturb_each_other(void) {
+static void two_threads_get_separate_results_and_messages(void) {
   pthread_t threads[2];
   unsigned counts[2] = {1, 2};
   void *sums[2];
@@ -422,7 +422,7 @@ static void two_threads_do_not_disturb_each_other(void) {
 }
 
 /// Every key can be set, and has a line of help.
-static void keys_are_listed(void) {
+static void all_keys_can_be_set_and_have_help(void) {
   MeniscusOptions *options = meniscus_options_new();
   size_t count = 0;
   for (const char *key; (key = meniscus_options_key(count)); count++) {
@@ -435,7 +435,7 @@ static void keys_are_listed(void) {
 }
 
 /// An option set from text and an option set from numbers give the same mesh.
-static void text_and_numbers_are_the_same_options(void) {
+static void text_and_numbers_set_the_same_options(void) {
   const double origin[] = {0.01, 0, -0.5};
   const double tank[] = {-0.02, -INFINITY, -INFINITY, 0.4, INFINITY, INFINITY};
   MeniscusOptions *all[] = {
@@ -466,18 +466,18 @@ static int test(int count, char **arguments) {
   CHECK(count == 2);
   pour(positions, 0);
   CHECK(strcmp(meniscus_last_error(), "") == 0 && strlen(meniscus_version()) >= 5);
-  keys_are_listed();
-  text_and_numbers_are_the_same_options();
-  copies_are_what_is_lent();
-  whole_numbers_are_those_of_particles();
-  positions_may_lie_anywhere();
+  all_keys_can_be_set_and_have_help();
+  text_and_numbers_set_the_same_options();
+  copies_equal_arrays();
+  integers_reach_the_vertices_exactly();
+  positions_may_have_any_layout();
   progress_is_reported_and_can_cancel_the_work(arguments[1]);
-  a_handle_ends_all_that_is_begun_with_it();
-  a_frame_is_sampled_once_and_surfaced_often(arguments[1]);
-  a_simulation_settles_and_its_frames_are_alike();
+  cancel_handle_cancels_all_calls();
+  a_sampled_frame_gives_several_surfaces(arguments[1]);
+  a_simulation_keeps_the_cells_of_its_first_frame();
   a_conversion_reports_finished_and_failed_frames(arguments[1]);
-  frames_before_the_first_are_joined(arguments[1]);
-  two_threads_do_not_disturb_each_other();
+  frames_with_negative_numbers_are_joined(arguments[1]);
+  two_threads_get_separate_results_and_messages();
   puts("the library keeps the guarantees of the header");
   return 0;
 }

@@ -7,10 +7,10 @@
 #include <time.h>
 
 #ifdef FUZZED
-static const unsigned char *said, *said_end;
+static const unsigned char *fuzz_bytes, *fuzz_end;
 
 static bool more_to_pick(void) {
-  return said < said_end;
+  return fuzz_bytes < fuzz_end;
 }
 
 /// A number below `among`, made from the fuzzer's next bytes. When all bytes are used up, it is
@@ -19,7 +19,7 @@ static uint32_t pick(uint32_t among) {
   uint32_t number = 0;
   for (uint32_t most = among - 1; among > 0 && most > 0; most >>= 8) {
     if (!more_to_pick()) return among - 1;
-    number = number << 8 | *said++;
+    number = number << 8 | *fuzz_bytes++;
   }
   return among > 0 ? number % among : 0;
 }
@@ -52,7 +52,7 @@ static double number(double usual) {
   return rarely(3) ? odd[pick(sizeof odd / sizeof *odd)] : usual * (0.5 + share());
 }
 
-static size_t size_of(size_t right) {
+static size_t random_size(size_t right) {
   const size_t odd[] = {0, 1, 7, 9, 4097, SIZE_MAX, 8};
   return rarely(20) ? odd[pick(7)] : rarely(12) ? 8 * (1 + pick((uint32_t)right / 8)) : right;
 }
@@ -67,7 +67,7 @@ static const double EXTENT = 0.4;
 #endif
 
 // The particles' data, in a block that is exactly as large as the structures say, so that valgrind
-// detects reads beyond its end.
+// detects reads beyond the end of the block.
 static unsigned char *memory;
 static MeniscusAttribute attributes[3];
 static const char *words[] = {"velocity", "heat", "v", "none", "", "\xff\xfe", "a very long name of an attribute, as nobody has", NULL};
@@ -92,7 +92,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   size_t count = rarely(15) ? 0 : rarely(4) ? 1 + pick(6) : 1 + pick(MOST);
   double spread = rarely(8) ? 0 : EXTENT;
   unsigned char *at = allocate(count * step);
-  particles->size = size_of(sizeof *particles);
+  particles->size = random_size(sizeof *particles);
   particles->count = count;
   particles->positions = at;
   particles->number = type;
@@ -123,7 +123,7 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
     for (int i = 0; i < 3; i++) {
       MeniscusAttribute *one = &attributes[i];
       memset(one, 0, sizeof *one);
-      one->size = rarely(40) ? size_of(sizeof *one) : sizeof *one;
+      one->size = rarely(40) ? random_size(sizeof *one) : sizeof *one;
       one->name = words[rarely(6) ? pick(8) : (uint32_t)i];
       one->values = rarely(15) ? NULL : particles->positions;
       one->components = rarely(12) ? pick(5) * 65535u : 1 + pick(3);
@@ -134,8 +134,8 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
         one->stride = one->component_stride = 0, one->values = NULL;
       }
     }
-    // With another size in a structure, the library would look for the next structure elsewhere in
-    // the array, so allow only one attribute.
+    // The size field of a structure is also the stride of the array. If a size is wrong, the library
+    // would read the next structure at a wrong address, so allow only one attribute.
     if (attributes[0].size != sizeof *attributes || attributes[1].size != sizeof *attributes) {
       particles->attribute_count = particles->attribute_count > 0;
     }
@@ -151,32 +151,32 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
   return rarely(60) ? NULL : particles;
 }
 
-static int32_t end_sometimes(void *user, const MeniscusProgress *progress) {
+static int32_t cancel_at_countdown(void *user, const MeniscusProgress *progress) {
   CHECK(progress->done >= 0 && progress->done <= 1);
   // Cancel when the counter in `user` reaches 0.
   return user && --*(int *)user == 0;
 }
 
-static int left;
+static int calls_until_cancel;
 static MeniscusCancel *cancel;
 
 /// Checks the result of a call that sets an option: success, or an error with a message.
-static void taken_or_refused(MeniscusStatus status) {
+static void check_option_status(MeniscusStatus status) {
   CHECK(status == MENISCUS_STATUS_OK || status == MENISCUS_STATUS_REQUEST);
   CHECK(status == MENISCUS_STATUS_OK || strlen(meniscus_last_error()) > 5);
 }
 
 static void set(MeniscusOptions *options, const char *key, const char *value) {
-  taken_or_refused(meniscus_options_set(options, key, value));
+  check_option_status(meniscus_options_set(options, key, value));
 }
 
 static void set_numbers(MeniscusOptions *options, const char *key, const double *values,
                         size_t count) {
-  taken_or_refused(meniscus_options_set_numbers(options, key, values, count));
+  check_option_status(meniscus_options_set_numbers(options, key, values, count));
 }
 
 static void set_number(MeniscusOptions *options, const char *key, double value) {
-  taken_or_refused(meniscus_options_set_number(options, key, value));
+  check_option_status(meniscus_options_set_number(options, key, value));
 }
 
 static void set_box(MeniscusOptions *options, const char *key) {
@@ -248,8 +248,8 @@ static MeniscusOptions *some_options(const char *folder) {
     if (rarely(2)) set(options, "device", is_cpu ? "none" : NULL);
   }
   if (rarely(6)) {
-    OK(meniscus_options_on_progress(options, end_sometimes, &left));
-    left = (int)pick(12);
+    OK(meniscus_options_on_progress(options, cancel_at_countdown, &calls_until_cancel));
+    calls_until_cancel = (int)pick(12);
   }
   if (rarely(15)) {
     OK(meniscus_options_cancel_by(options, cancel));
@@ -275,7 +275,7 @@ static MeniscusOptions *some_options(const char *folder) {
 
 static uint64_t codes[256], calls;
 
-static MeniscusStatus note(MeniscusStatus status) {
+static MeniscusStatus count_status(MeniscusStatus status) {
   calls++;
   CHECK(status >= 0 && status < 256 && status != MENISCUS_STATUS_INTERNAL);
   CHECK(status == MENISCUS_STATUS_OK || strlen(meniscus_last_error()) > 5);
@@ -284,16 +284,16 @@ static MeniscusStatus note(MeniscusStatus status) {
 }
 
 /// Makes a random query about a mesh.
-static void ask(const MeniscusMesh *mesh, const char *folder) {
+static void random_query(const MeniscusMesh *mesh, const char *folder) {
   uint64_t vertices = meniscus_mesh_vertex_count(mesh), triangles = meniscus_mesh_triangle_count(mesh);
   uint64_t room = rarely(4) ? pick(100) : 3 * (vertices > triangles ? vertices : triangles);
   void *out = rarely(10) ? NULL : malloc(8 * room + 1);
   size_t index = pick(3), length = 0;
-  MeniscusArrays arrays = {.size = size_of(sizeof arrays)};
-  MeniscusReport report = {.size = size_of(sizeof report)};
-  MeniscusCheck check = {.size = size_of(sizeof check)};
-  // The library must not write to a structure whose announced size exceeds its memory, so reduce
-  // the size.
+  MeniscusArrays arrays = {.size = random_size(sizeof arrays)};
+  MeniscusReport report = {.size = random_size(sizeof report)};
+  MeniscusCheck check = {.size = random_size(sizeof check)};
+  // The library writes as many bytes as the size field states, so the size field must not exceed
+  // the structure.
   if (arrays.size > sizeof arrays && arrays.size <= 4096) arrays.size = 8;
   if (report.size > sizeof report && report.size <= 4096) report.size = 8;
   if (check.size > sizeof check && check.size <= 4096) check.size = 8;
@@ -301,38 +301,38 @@ static void ask(const MeniscusMesh *mesh, const char *folder) {
   const char *ends[] = {"ply", "obj", "stl", "glb", "usdc", "vtp", "doc", "vtkhdf"};
   snprintf(path, sizeof path, "%s%s/random.%s", folder, rarely(20) ? "/none" : "", ends[pick(8)]);
   switch (pick(14)) {
-    case 0: note(meniscus_mesh_positions_f32(mesh, out, room)); break;
-    case 1: note(meniscus_mesh_positions_f64(mesh, out, room)); break;
-    case 2: note(meniscus_mesh_triangles_u32(mesh, out, room)); break;
-    case 3: note(meniscus_mesh_triangles_u64(mesh, out, room)); break;
-    case 4: note(meniscus_mesh_normals(mesh, out, room)); break;
+    case 0: count_status(meniscus_mesh_positions_f32(mesh, out, room)); break;
+    case 1: count_status(meniscus_mesh_positions_f64(mesh, out, room)); break;
+    case 2: count_status(meniscus_mesh_triangles_u32(mesh, out, room)); break;
+    case 3: count_status(meniscus_mesh_triangles_u64(mesh, out, room)); break;
+    case 4: count_status(meniscus_mesh_normals(mesh, out, room)); break;
     case 5: {
       uint64_t components = meniscus_mesh_attribute_components(mesh, index);
       bool fits = components <= 3;
       if (meniscus_mesh_attribute_is_whole(mesh, index) && rarely(2)) {
-        note(meniscus_mesh_attribute_whole(mesh, index, fits ? out : NULL, room));
+        count_status(meniscus_mesh_attribute_whole(mesh, index, fits ? out : NULL, room));
       } else {
-        note(meniscus_mesh_attribute(mesh, index, fits ? out : NULL, room));
+        count_status(meniscus_mesh_attribute(mesh, index, fits ? out : NULL, room));
       }
       break;
     }
     case 6:
-      if (note(meniscus_mesh_arrays(mesh, rarely(20) ? NULL : &arrays)) == 0 && arrays.size >= sizeof arrays) {
+      if (count_status(meniscus_mesh_arrays(mesh, rarely(20) ? NULL : &arrays)) == 0 && arrays.size >= sizeof arrays) {
         for (uint64_t i = 0; i < 3 * arrays.triangle_count; i++) CHECK(arrays.triangles[i] < arrays.vertex_count);
         for (uint64_t i = 0; i < 3 * arrays.vertex_count; i++) CHECK(isfinite(arrays.positions[i]));
       }
       break;
-    case 7: note(meniscus_mesh_report(mesh, rarely(20) ? NULL : &report)); break;
+    case 7: count_status(meniscus_mesh_report(mesh, rarely(20) ? NULL : &report)); break;
     case 8:
-      if (note(meniscus_mesh_check(mesh, rarely(20) ? NULL : &check)) == 0 && check.size == sizeof check) {
+      if (count_status(meniscus_mesh_check(mesh, rarely(20) ? NULL : &check)) == 0 && check.size == sizeof check) {
         CHECK(check.is_closed_oriented_manifold);
       }
       break;
-    case 9: note(meniscus_mesh_write(mesh, rarely(20) ? NULL : path, (int32_t)pick(3), rarely(2) ? NULL : &room)); break;
-    case 10: note(meniscus_mesh_format_warnings(mesh, path, rarely(3) ? NULL : text, pick(sizeof text), rarely(3) ? NULL : &length)); break;
+    case 9: count_status(meniscus_mesh_write(mesh, rarely(20) ? NULL : path, (int32_t)pick(3), rarely(2) ? NULL : &room)); break;
+    case 10: count_status(meniscus_mesh_format_warnings(mesh, path, rarely(3) ? NULL : text, pick(sizeof text), rarely(3) ? NULL : &length)); break;
     case 11: calls++, (void)meniscus_mesh_attribute_name(mesh, index), (void)meniscus_mesh_has_normals(mesh); break;
     case 12: calls++, (void)meniscus_mesh_warning(mesh, index), (void)meniscus_mesh_warning_count(mesh); break;
-    default: note(meniscus_check_output(rarely(20) ? NULL : path, NULL, (int32_t)pick(2))); break;
+    default: count_status(meniscus_check_output(rarely(20) ? NULL : path, NULL, (int32_t)pick(2))); break;
   }
   free(out);
 }
@@ -352,7 +352,7 @@ static const char *frames_in(const char *folder) {
   return name;
 }
 
-static int32_t end_at_some_event(void *user, const MeniscusEvent *event) {
+static int32_t cancel_at_event(void *user, const MeniscusEvent *event) {
   CHECK(strlen(event->text) > 5);
   return user && --*(int *)user == 0;
 }
@@ -376,20 +376,20 @@ static void convert(const char *folder, const char *frames) {
     if (rarely(9)) set_number(some, "watch", rarely(2) ? 1e-9 : -fabs(number(1)));
     set_number(some, "overwrite", rarely(2)), set_number(some, "resume", rarely(2));
     if (rarely(2)) {
-      OK(meniscus_options_on_event(some, end_at_some_event, &left));
-      left = (int)pick(30);
+      OK(meniscus_options_on_event(some, cancel_at_event, &calls_until_cancel));
+      calls_until_cancel = (int)pick(30);
     }
   }
   MeniscusSummary summary = {.size = sizeof summary};
   const char *to = rarely(10) ? NULL : rarely(3) ? one : output;
   const char *const *from = rarely(20) ? NULL : inputs;
   const size_t count = rarely(4) ? pick(3) : 1;
-  note(meniscus_convert(from, count, to, some, rarely(3) ? NULL : &summary));
+  count_status(meniscus_convert(from, count, to, some, rarely(3) ? NULL : &summary));
   meniscus_options_free(some);
 }
 
 /// Replaces a mesh with a new one, which must be closed.
-static void keep(MeniscusMesh **mesh, MeniscusMesh *made) {
+static void replace_mesh(MeniscusMesh **mesh, MeniscusMesh *made) {
   MeniscusCheck check = {.size = sizeof check};
   OK(meniscus_mesh_check(made, &check));
   CHECK(check.is_closed_oriented_manifold);
@@ -415,30 +415,30 @@ static void make_calls(const char *folder, uint64_t wanted) {
     MeniscusOptions *options = what < 40 ? some_options(folder) : NULL;
     if (what < 14) {
       const MeniscusParticles *some = some_particles(&particles);
-      note(meniscus_reconstruct(some, options, rarely(60) ? NULL : &made));
+      count_status(meniscus_reconstruct(some, options, rarely(60) ? NULL : &made));
     } else if (what < 20) {
       const MeniscusParticles *some = some_particles(&particles);
-      note(meniscus_sample(some, options, &sampled));
+      count_status(meniscus_sample(some, options, &sampled));
     } else if (what < 26) {
-      note(meniscus_frame_surface(frame, options, &made));
+      count_status(meniscus_frame_surface(frame, options, &made));
     } else if (what < 29) {
-      note(meniscus_frame_pack(frame, rarely(10) ? "a.ply" : path, (int32_t)pick(2), NULL));
+      count_status(meniscus_frame_pack(frame, rarely(10) ? "a.ply" : path, (int32_t)pick(2), NULL));
     } else if (what < 32) {
-      note(meniscus_reconstruct_file(rarely(3) ? words[pick(8)] : path, options, &made));
+      count_status(meniscus_reconstruct_file(rarely(3) ? words[pick(8)] : path, options, &made));
     } else if (what < 34) {
-      note(meniscus_sample_file(rarely(3) ? words[pick(8)] : path, options, &sampled));
+      count_status(meniscus_sample_file(rarely(3) ? words[pick(8)] : path, options, &sampled));
     } else if (what < 40) {
-      note(meniscus_simulation_new(options, &begun));
+      count_status(meniscus_simulation_new(options, &begun));
     } else if (what < 48) {
-      note(meniscus_simulation_frame(simulation, some_particles(&particles), &made));
+      count_status(meniscus_simulation_frame(simulation, some_particles(&particles), &made));
       (void)meniscus_simulation_is_settled(simulation);
     } else if (what < 51) {
       convert(folder, frames);
     } else {
-      ask(rarely(50) ? NULL : mesh, folder);
+      random_query(rarely(50) ? NULL : mesh, folder);
     }
     meniscus_options_free(options);
-    if (made) keep(&mesh, made);
+    if (made) replace_mesh(&mesh, made);
     if (sampled) meniscus_frame_free(frame), frame = sampled, calls++;
     if (begun) meniscus_simulation_free(simulation), simulation = begun, calls++;
     // Free handles in any order: a mesh must stay valid when its frame is freed.
@@ -454,7 +454,7 @@ static void make_calls(const char *folder, uint64_t wanted) {
 #ifdef FUZZED
 /// Makes the calls that `bytes` determine. `folder` is empty.
 void meniscus_calls_of_bytes(const char *folder, const unsigned char *bytes, size_t size) {
-  said = bytes, said_end = bytes + size;
+  fuzz_bytes = bytes, fuzz_end = bytes + size;
   make_calls(folder, 40);
 }
 #else

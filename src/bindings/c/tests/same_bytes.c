@@ -83,8 +83,8 @@ static int test(int count, char **arguments) {
   meniscus_mesh_free(of_wide);
   meniscus_mesh_free(of_file);
 
-  // Test many options, with positions that are stored among other numbers.
-  struct { const char *said; const char *const options[9]; } all[] = {
+  // Test many options, with positions inside structures that also contain other numbers.
+  struct { const char *flags; const char *const options[9]; } all[] = {
       {"--spacing 0.05 --cell 0.3 --smooth 2", {"spacing", "0.05", "cell", "0.3", "smooth", "2"}},
       {"--radius 0.025 --cell-size 0.03 --normals",
        {"radius", "0.025", "cell-size", "0.03", "normals", "true"}},
@@ -116,7 +116,7 @@ static int test(int count, char **arguments) {
     MeniscusOptions *options = options_of(all[i].options);
     OK(meniscus_reconstruct(&strided, options, &mesh));
     meniscus_options_free(options);
-    compare("ply", mesh, wide_file, all[i].said);
+    compare("ply", mesh, wide_file, all[i].flags);
     meniscus_mesh_free(mesh);
   }
   MeniscusOptions *small = OPTIONS("compress", "true", "particles-up", "z");

@@ -91,26 +91,26 @@ static inline void wait_for_threads(void) {
 /// The test that the including file defines; `main` calls it.
 static int test(int count, char **arguments);
 
-/// Whether a graphics driver was used. A driver keeps its own threads.
+/// Whether a graphics driver was used. The threads of a driver keep running after a call.
 static bool driver_used;
 
-static struct { int count; char **arguments; int code; } given;
+static struct { int count; char **arguments; int code; } test_call;
 
 static inline void *run_test(void *unused) {
-  given.code = test(given.count, given.arguments);
+  test_call.code = test(test_call.count, test_call.arguments);
   return unused;
 }
 
-/// Runs the test on a separate thread. When this thread ends, the library must free the thread's
-/// data: valgrind reports data that it does not free.
+/// Runs the test on a separate thread. When this thread ends, the library must free the data that
+/// belongs to this thread. Valgrind reports data that the library does not free.
 int main(int count, char **arguments) {
   pthread_t thread;
-  given.count = count, given.arguments = arguments;
+  test_call.count = count, test_call.arguments = arguments;
   CHECK(pthread_create(&thread, NULL, run_test, NULL) == 0 && pthread_join(thread, NULL) == 0);
   if (!driver_used) {
     wait_for_threads();
   }
-  return given.code;
+  return test_call.code;
 }
 #endif
 

@@ -1,4 +1,5 @@
-// Tests that the C++ wrapper frees memory, throws exceptions and lends arrays correctly. Usage: `wrapper FOLDER`
+// Tests that the C++ wrapper frees memory, throws exceptions and returns correct views of arrays.
+// Usage: `wrapper FOLDER`
 #include <meniscus.hpp>
 
 #include <cmath>

@@ -36,7 +36,7 @@ def neighbours(points: Points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int
 
 
 def advance(points: Points, velocity: Points) -> tuple[Points, Points]:
-    """Advances the particles by a time step, separates close ones, and keeps all in the tank."""
+    """Advances the particles by a time step, pushes close particles apart, and keeps all particles in the tank."""
     moved = points + STEP * (velocity + STEP * GRAVITY)
     for _ in range(PUSHES):
         one, other = neighbours(moved)

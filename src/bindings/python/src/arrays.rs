@@ -3,8 +3,8 @@
 //!
 //! This module reads without the interpreter's lock, so another thread may write to an array
 //! meanwhile. The values behind a Rust slice must not change, so the module never makes a slice of
-//! an array. Instead, it loads every number once, with a volatile read through a pointer. The
-//! library detects and reports positions that differ between reads.
+//! an array. Instead, each read of a number is one volatile load through a pointer. The library
+//! reads positions several times, and reports positions that differ between reads as an error.
 
 use meniscus::files::{AttributeInfo, AttributeKind, velocity_attribute};
 use numpy::prelude::*;
@@ -105,12 +105,12 @@ unsafe impl Send for Numbers {}
 unsafe impl Sync for Numbers {}
 
 /// A Python array, kept alive, and the layout of its numbers.
-pub struct HeldArray<'py> {
+pub struct BoundArray<'py> {
     pub array: Bound<'py, PyUntypedArray>,
     pub numbers: Numbers,
 }
 
-impl HeldArray<'_> {
+impl BoundArray<'_> {
     /// Size, in bytes, of all numbers.
     pub fn bytes(&self) -> u64 {
         (self.numbers.rows * self.numbers.columns * self.numbers.kind.bytes()) as u64
@@ -119,7 +119,7 @@ impl HeldArray<'_> {
 
 /// Loads a number of type `$number` from the valid address `$at`, byte by byte if it is not
 /// aligned.
-macro_rules! loaded {
+macro_rules! load_number {
     ($number:ty, $at:expr, $aligned:expr) => {
         if $aligned {
             $at.cast::<$number>().read_volatile()
@@ -150,7 +150,7 @@ impl Numbers {
 
     /// The kind of an attribute whose numbers have this type. The same rule applies to attributes
     /// in files.
-    pub fn meaning(&self, info: &AttributeInfo) -> AttributeKind {
+    pub fn attribute_kind(&self, info: &AttributeInfo) -> AttributeKind {
         match self.kind {
             Kind::F32 | Kind::F64 => info.kind,
             Kind::U8 if info.kind.is_colour() => AttributeKind::ByteColour,
@@ -196,9 +196,9 @@ impl Numbers {
         let mut number = 0;
         for row in first..first + rows {
             for column in 0..self.columns {
-                let [down, along] = self.strides;
-                let offset = row as isize * down + column as isize * along;
-                // SAFETY: the row and the column exist, and `HeldArray` keeps the array alive.
+                let [row_stride, column_stride] = self.strides;
+                let offset = row as isize * row_stride + column as isize * column_stride;
+                // SAFETY: the row and the column exist, and `BoundArray` keeps the array alive.
                 put(number, load(unsafe { self.first.offset(offset) }));
                 number += 1;
             }
@@ -214,8 +214,8 @@ impl Numbers {
         // SAFETY: the caller upholds this function's contract.
         unsafe {
             match self.kind {
-                Kind::F32 => loaded!(f32, at, self.aligned).into(),
-                Kind::F64 => loaded!(f64, at, self.aligned),
+                Kind::F32 => load_number!(f32, at, self.aligned).into(),
+                Kind::F64 => load_number!(f64, at, self.aligned),
                 _ => self.load_whole(at) as f64,
             }
         }
@@ -230,67 +230,71 @@ impl Numbers {
         // SAFETY: the caller upholds this function's contract.
         unsafe {
             match self.kind {
-                Kind::F32 => loaded!(f32, at, self.aligned) as i64,
-                Kind::F64 => loaded!(f64, at, self.aligned) as i64,
-                Kind::I8 => loaded!(i8, at, self.aligned).into(),
-                Kind::I16 => loaded!(i16, at, self.aligned).into(),
-                Kind::I32 => loaded!(i32, at, self.aligned).into(),
-                Kind::I64 => loaded!(i64, at, self.aligned),
-                Kind::U8 => loaded!(u8, at, self.aligned).into(),
-                Kind::U16 => loaded!(u16, at, self.aligned).into(),
-                Kind::U32 => loaded!(u32, at, self.aligned).into(),
-                Kind::U64 => i64::try_from(loaded!(u64, at, self.aligned)).unwrap_or(i64::MAX),
+                Kind::F32 => load_number!(f32, at, self.aligned) as i64,
+                Kind::F64 => load_number!(f64, at, self.aligned) as i64,
+                Kind::I8 => load_number!(i8, at, self.aligned).into(),
+                Kind::I16 => load_number!(i16, at, self.aligned).into(),
+                Kind::I32 => load_number!(i32, at, self.aligned).into(),
+                Kind::I64 => load_number!(i64, at, self.aligned),
+                Kind::U8 => load_number!(u8, at, self.aligned).into(),
+                Kind::U16 => load_number!(u16, at, self.aligned).into(),
+                Kind::U32 => load_number!(u32, at, self.aligned).into(),
+                Kind::U64 => i64::try_from(load_number!(u64, at, self.aligned)).unwrap_or(i64::MAX),
             }
         }
     }
 }
 
-/// Takes positions or velocities: an array of shape (N, 3).
-pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArray<'py>> {
-    let held = held(name, object, Types::Floats)?;
-    let shape = held.array.shape();
+/// Reads positions or velocities: an array of shape (N, 3).
+pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<BoundArray<'py>> {
+    let bound = bind_array(name, object, Types::Floats)?;
+    let shape = bound.array.shape();
     if shape.len() != 2 || shape[1] != 3 {
         let way = if shape.len() == 2 && shape[0] == 3 { "; use .T" } else { "" };
         return Err(InputError::new_err(format!(
             "{name}: must be an array of shape (N, 3), not {}{way}",
-            shown(shape)
+            shape_text(shape)
         )));
     }
-    Ok(held)
+    Ok(bound)
 }
 
-/// Takes one or several values per particle: an array of shape (N,) or (N, K) of floats or
+/// Reads one or several values per particle: an array of shape (N,) or (N, K) of floats or
 /// integers.
-pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<HeldArray<'py>> {
-    let held = held(name, object, Types::Numbers)?;
-    let shape = held.array.shape();
-    if !(1..=2).contains(&shape.len()) || held.numbers.columns == 0 {
+pub fn columns<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<BoundArray<'py>> {
+    let bound = bind_array(name, object, Types::Numbers)?;
+    let shape = bound.array.shape();
+    if !(1..=2).contains(&shape.len()) || bound.numbers.columns == 0 {
         return Err(InputError::new_err(format!(
             "{name}: must be an array of shape (N,) or (N, K), not {}",
-            shown(shape)
+            shape_text(shape)
         )));
     }
-    Ok(held)
+    Ok(bound)
 }
 
-/// Rejects an array that does not have one row for each of the `particles`.
-pub fn refuse_length(name: &str, held: &HeldArray<'_>, particles: usize) -> PyResult<()> {
-    if held.numbers.rows == particles {
+/// Returns an error if an array does not have one row for each of the `particles`.
+pub fn check_length(name: &str, bound: &BoundArray<'_>, particles: usize) -> PyResult<()> {
+    if bound.numbers.rows == particles {
         return Ok(());
     }
-    let rows = held.numbers.rows;
+    let rows = bound.numbers.rows;
     Err(InputError::new_err(format!("{name}: has {rows} rows for {particles} particles")))
 }
 
 /// Formats a shape as Python does, such as (3, 4) or (5,).
-fn shown(shape: &[usize]) -> String {
+fn shape_text(shape: &[usize]) -> String {
     match shape {
         [one] => format!("({one},)"),
         _ => format!("({})", shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
     }
 }
 
-fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<HeldArray<'py>> {
+fn bind_array<'py>(
+    name: &str,
+    object: &Bound<'py, PyAny>,
+    types: Types,
+) -> PyResult<BoundArray<'py>> {
     let array = as_array(name, object)?;
     let dtype = array.dtype();
     if array.hasattr("mask")? {
@@ -301,7 +305,7 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
         };
         return Err(PyTypeError::new_err(format!("{name}: the array has a mask; use {way}")));
     }
-    let called = || dtype.str().map_or_else(|_| "another type".into(), |text| text.to_string());
+    let dtype_name = || dtype.str().map_or_else(|_| "another type".into(), |text| text.to_string());
     let kind = Kind::of(dtype.kind(), dtype.itemsize());
     let kind = match kind.filter(|kind| types == Types::Numbers || kind.is_float()) {
         Some(kind) => kind,
@@ -318,27 +322,28 @@ fn held<'py>(name: &str, object: &Bound<'py, PyAny>, types: Types) -> PyResult<H
             };
             return Err(PyTypeError::new_err(format!(
                 "{name}: must contain {wanted}, not {}; use {way}",
-                called()
+                dtype_name()
             )));
         }
     };
     if dtype.is_native_byteorder() == Some(false) {
         return Err(PyTypeError::new_err(format!(
             "{name}: the numbers are byte-swapped ({}); use .astype(\"{}\")",
-            called(),
+            dtype_name(),
             kind.name(),
         )));
     }
     let (shape, strides) = (array.shape(), array.strides());
-    let part = |axis: usize| {
+    let extent = |axis: usize| {
         (shape.get(axis).copied().unwrap_or(1), strides.get(axis).copied().unwrap_or(0))
     };
-    let ((rows, down), (columns, along)) = (part(0), part(1));
+    let ((rows, row_stride), (columns, column_stride)) = (extent(0), extent(1));
     // SAFETY: the type of `array` guarantees that the object is a NumPy array.
     let first = unsafe { (*array.as_array_ptr()).fields.data.cast_const().cast::<u8>() };
     let aligned = array.is_aligned();
-    let numbers = Numbers { first, rows, columns, strides: [down, along], kind, aligned };
-    Ok(HeldArray { array, numbers })
+    let numbers =
+        Numbers { first, rows, columns, strides: [row_stride, column_stride], kind, aligned };
+    Ok(BoundArray { array, numbers })
 }
 
 /// Returns the object itself if it is a NumPy array, and otherwise a NumPy array that shares its
@@ -349,7 +354,7 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
         return Ok(array.clone());
     }
     let numpy = py.import("numpy")?;
-    let because = |error: PyErr| {
+    let conversion_error = |error: PyErr| {
         let of =
             object.getattr("dtype").map_or_else(|_| String::new(), |dtype| format!(" of {dtype}"));
         let what = format!(
@@ -360,13 +365,13 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
         PyTypeError::new_err(what)
     };
     let array = if object.hasattr("__dlpack__")? {
-        let device = object.call_method0("__dlpack_device__").map_err(because)?;
-        refuse_device(name, object, device.extract()?)?;
-        numpy.call_method1("from_dlpack", (object,)).map_err(because)?
+        let device = object.call_method0("__dlpack_device__").map_err(conversion_error)?;
+        check_device(name, object, device.extract()?)?;
+        numpy.call_method1("from_dlpack", (object,)).map_err(conversion_error)?
     } else if object.hasattr("__cuda_array_interface__")? {
         return Err(on_device(name, object, "a CUDA device"));
     } else if object.hasattr("__array_interface__")? {
-        numpy.call_method1("asarray", (object,)).map_err(because)?
+        numpy.call_method1("asarray", (object,)).map_err(conversion_error)?
     } else {
         let view = py.import("builtins")?.call_method1("memoryview", (object,));
         let view = view.map_err(|_| {
@@ -378,7 +383,7 @@ fn as_array<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<Bound<'py, 
                 type_of(object)
             ))
         })?;
-        numpy.call_method1("asarray", (view,)).map_err(because)?
+        numpy.call_method1("asarray", (view,)).map_err(conversion_error)?
     };
     array.cast_into::<PyUntypedArray>().map_err(|_| {
         PyTypeError::new_err(format!("{name}: {} cannot be read as an array", type_of(object)))
@@ -389,8 +394,8 @@ fn type_of(object: &Bound<'_, PyAny>) -> String {
     object.get_type().name().map_or_else(|_| "an object".into(), |name| name.to_string())
 }
 
-/// Rejects an array whose memory the CPU cannot read.
-fn refuse_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) -> PyResult<()> {
+/// Returns an error if the CPU cannot read the memory of an array.
+fn check_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) -> PyResult<()> {
     if HOST.contains(&kind) {
         return Ok(());
     }

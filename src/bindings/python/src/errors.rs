@@ -33,8 +33,9 @@ fn is_of_file(error: &Error) -> bool {
     }
 }
 
-/// The `errno` of the system's error that caused an error of the library, if there is one.
-fn system_error(error: &Error) -> Option<i32> {
+/// The `errno` that matches an error of the library: that of the system's error which caused it,
+/// EEXIST for an existing output, or ENOENT for missing inputs.
+fn matching_errno(error: &Error) -> Option<i32> {
     match error {
         Error::Write(WriteError {
             fault: WriteFault::Exists | WriteFault::ExistsInSimulation,
@@ -98,14 +99,14 @@ fn file_error(error: &Error, text: &str) -> PyErr {
     Python::attach(|py| {
         let made = || {
             let make = py.import("meniscus._errors")?.getattr("file_error")?;
-            make.call1((text, system_error(error), file_of(error)))
+            make.call1((text, matching_errno(error), file_of(error)))
         };
         made().map_or_else(|fault: PyErr| fault, PyErr::from_value)
     })
 }
 
 /// A hint at the keywords that let a call replace existing files; empty for other errors.
-fn ways_to_replace(error: &Error) -> &'static str {
+fn replace_hint(error: &Error) -> &'static str {
     match error {
         Error::Write(WriteError { fault: WriteFault::Exists, .. }) => {
             "; overwrite=True replaces it"
@@ -120,7 +121,7 @@ fn ways_to_replace(error: &Error) -> &'static str {
 /// Converts an error of the library to the Python exception of its kind.
 pub fn exception(error: Error) -> PyErr {
     let text = error.message_with(&|setting| format!("`{}`", setting.name()));
-    let text = text + ways_to_replace(&error);
+    let text = text + replace_hint(&error);
     match error.cause() {
         Cause::Device => DeviceError::new_err(text),
         _ if matches!(

@@ -96,8 +96,9 @@ impl Values {
     }
 }
 
-/// Reads the particles of a file: .bgeo, .bgeo.sc, .vtk, .vtu, .vtp, .pvtu, .pvtp, .vtm, .ply,
-/// .npy, .npz, .csv, .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5, compressed or not.
+/// Reads the particles of a file, such as .bgeo, .bgeo.sc, .vtk, .vtu, .vtp, .pvtu, .pvtp, .vtm,
+/// .ply, .npy, .npz, .csv, .txt, .dat, .xyz, .dump, .lammpstrj, .json, .bi4, or HDF5. The file may
+/// be compressed.
 ///
 /// Parameters
 /// ----------

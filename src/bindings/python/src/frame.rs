@@ -41,8 +41,8 @@ const OF_FRAMES: &[KeywordGroup] = &[
 pub struct Frame {
     sampled: Arc<meniscus::Frame>,
     /// The keywords of the constructor.
-    asked: Py<PyDict>,
-    named: Option<Vec<String>>,
+    constructor_keywords: Py<PyDict>,
+    attribute_names: Option<Vec<String>>,
     process: u32,
 }
 
@@ -54,20 +54,20 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
         py: Python<'_>,
     ) -> PyResult<Reconstruction> {
-        let all = self.asked.bind(py).copy()?;
+        let all = self.constructor_keywords.bind(py).copy()?;
         if let Some(keywords) = keywords {
             // Reject keywords outside `KeywordGroup::Surface`.
             Keywords::of(function, Some(keywords), &[KeywordGroup::Surface])?;
             all.update(keywords.as_mapping())?;
         }
         let request = Keywords::of(function, Some(&all), OF_FRAMES)?.request;
-        Ok(match &self.named {
+        Ok(match &self.attribute_names {
             Some(names) => request.attributes(names),
             None => request,
         })
     }
 
-    fn refuse_other_process(&self) -> PyResult<()> {
+    fn check_process(&self) -> PyResult<()> {
         if self.process == std::process::id() {
             return Ok(());
         }
@@ -94,7 +94,8 @@ impl Frame {
         progress: Option<&Bound<'_, PyAny>>,
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
-        let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
+        let constructor_keywords =
+            keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
         let keywords = Keywords::of(
             "Frame",
             keywords,
@@ -105,20 +106,20 @@ impl Frame {
                 KeywordGroup::Machine,
             ],
         )?;
-        let arrays = Arrays::take(positions, velocity, attributes)?;
+        let arrays = Arrays::from_python(positions, velocity, attributes)?;
         let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
-        let named = arrays.named();
-        if let Some(names) = &named {
+        let attribute_names = arrays.attribute_names();
+        if let Some(names) = &attribute_names {
             request = request.attributes(names);
         }
         let work = Work::new();
-        let request = work.holds(request, progress.is_some());
-        let water = arrays.water();
-        let sampled = with_progress(py, progress, work, || request.sample(&water))?;
+        let request = work.attach_to(request, progress.is_some());
+        let particles = arrays.as_particles();
+        let sampled = with_progress(py, progress, work, || request.sample(&particles))?;
         Ok(Self {
             sampled: Arc::new(sampled),
-            asked: asked.unbind(),
-            named,
+            constructor_keywords: constructor_keywords.unbind(),
+            attribute_names,
             process: std::process::id(),
         })
     }
@@ -157,17 +158,18 @@ impl Frame {
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Self> {
         let files = paths("path", path)?;
-        let asked = keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
+        let constructor_keywords =
+            keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
         let request = Keywords::of("load", keywords, OF_FRAMES)?;
         let request = request.on_machine(None)?;
         let work = Work::new();
-        let request = work.holds(request, progress.is_some());
+        let request = work.attach_to(request, progress.is_some());
         let sampled =
             with_progress(py, progress, work, || request.open_together(&files)?.sample())?;
         Ok(Self {
             sampled: Arc::new(sampled),
-            asked: asked.unbind(),
-            named: None,
+            constructor_keywords: constructor_keywords.unbind(),
+            attribute_names: None,
             process: std::process::id(),
         })
     }
@@ -192,9 +194,9 @@ impl Frame {
         progress: Option<&Bound<'_, PyAny>>,
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Mesh> {
-        self.refuse_other_process()?;
+        self.check_process()?;
         let work = Work::new();
-        let request = work.holds(self.request("surface", keywords, py)?, progress.is_some());
+        let request = work.attach_to(self.request("surface", keywords, py)?, progress.is_some());
         let surface = with_progress(py, progress, work, || self.sampled.surface_by(&request))?;
         Mesh::new(py, surface, request)
     }
@@ -216,9 +218,9 @@ impl Frame {
         progress: Option<&Bound<'_, PyAny>>,
         keywords: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Volume> {
-        self.refuse_other_process()?;
+        self.check_process()?;
         let work = Work::new();
-        let request = work.holds(self.request("volume", keywords, py)?, progress.is_some());
+        let request = work.attach_to(self.request("volume", keywords, py)?, progress.is_some());
         let mut warnings = Vec::new();
         let volume = with_progress(py, progress, work, || {
             let surface = self.sampled.surface_by(&request)?;
@@ -251,9 +253,9 @@ impl Frame {
     ///     Size, in bytes, of the file.
     #[pyo3(signature = (path, *, overwrite=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, overwrite: bool) -> PyResult<u64> {
-        self.refuse_other_process()?;
+        self.check_process()?;
         let work = Work::new();
-        let request = work.holds(Reconstruction::new(), false);
+        let request = work.attach_to(Reconstruction::new(), false);
         let replace = if overwrite { Replace::Allow } else { Replace::Refuse };
         let packed = with_progress(py, None, work, || {
             self.sampled.pack(request.packed_output(&path, replace)?)

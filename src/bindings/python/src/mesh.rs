@@ -14,7 +14,7 @@ use pyo3::sync::PyOnceLock;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
 use crate::errors::{exception, warn};
-use crate::memory::{GiveBack, give_back};
+use crate::memory::{ReturnMemory, return_memory};
 use crate::report::{Check, Report};
 use crate::work::{Work, on_threads, with_progress};
 
@@ -31,7 +31,7 @@ pub struct Mesh {
     measures: OnceLock<Measures>,
     /// Must be the last field, because fields are dropped in order. When this field is dropped, it
     /// returns the memory of the other fields to the system.
-    _emptied: GiveBack,
+    _return_memory: ReturnMemory,
 }
 
 /// A point as a Python tuple of x, y and z.
@@ -54,17 +54,17 @@ impl Mesh {
             request,
             arrays: PyOnceLock::new(),
             measures: OnceLock::new(),
-            _emptied: GiveBack,
+            _return_memory: ReturnMemory,
         })
     }
 
-    fn whole(&self, py: Python<'_>) -> PyResult<meniscus::mesh::Mesh> {
+    fn to_mesh(&self, py: Python<'_>) -> PyResult<meniscus::mesh::Mesh> {
         py.detach(|| self.surface.to_mesh()).map_err(exception)
     }
 
     fn arrays(&self, py: Python<'_>) -> PyResult<&Arrays> {
         self.arrays.get_or_try_init(py, || {
-            let mesh = self.whole(py)?;
+            let mesh = self.to_mesh(py)?;
             let attributes = PyDict::new(py);
             for VertexAttribute { name, components, values, kind, whole } in mesh.attributes {
                 let array = match kind {
@@ -81,9 +81,9 @@ impl Mesh {
                 attributes.set_item(name, array?)?;
             }
             Ok(Arrays {
-                vertices: threes(py, mesh.positions)?,
-                triangles: threes(py, mesh.triangles)?,
-                normals: mesh.normals.map(|normals| threes(py, normals)).transpose()?,
+                vertices: three_columns(py, mesh.positions)?,
+                triangles: three_columns(py, mesh.triangles)?,
+                normals: mesh.normals.map(|normals| three_columns(py, normals)).transpose()?,
                 attributes: attributes.unbind(),
             })
         })
@@ -93,12 +93,12 @@ impl Mesh {
         if let Some(measures) = self.measures.get() {
             return Ok(measures);
         }
-        let mesh = self.whole(py)?;
+        let mesh = self.to_mesh(py)?;
         let threads = self.surface.report().threads;
         let measures = py.detach(|| {
             let measures = on_threads(threads, || measure(&mesh));
             drop(mesh);
-            give_back();
+            return_memory();
             measures
         });
         let measures = measures.map_err(exception)?;
@@ -121,7 +121,7 @@ pub fn column<T: Element>(
 }
 
 /// Creates an array of shape (N, 3) that takes ownership of the numbers.
-fn threes<T: Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Py<PyArray2<T>>> {
+fn three_columns<T: Element>(py: Python<'_>, rows: Vec<[T; 3]>) -> PyResult<Py<PyArray2<T>>> {
     let count = rows.len();
     Ok(PyArray1::from_vec(py, rows.into_flattened()).reshape([count, 3])?.unbind())
 }
@@ -162,7 +162,8 @@ impl Mesh {
         Ok(self.arrays(py)?.attributes.clone_ref(py))
     }
 
-    /// The enclosed volume, in cubed units of length; 0 for an empty mesh.
+    /// The enclosed volume, in cubed units of length; 0 for an empty mesh, and NaN if the mesh is
+    /// not closed and oriented.
     #[getter]
     fn volume(&self, py: Python<'_>) -> PyResult<f64> {
         Ok(self.measures(py)?.volume.unwrap_or(f64::NAN))
@@ -190,12 +191,12 @@ impl Mesh {
     /// ``check`` does for a file.
     fn check(&self, py: Python<'_>) -> PyResult<Check> {
         let measures = self.measures(py)?;
-        let mesh = self.whole(py)?;
+        let mesh = self.to_mesh(py)?;
         let threads = self.surface.report().threads;
         let found = py.detach(|| {
             let found = on_threads(threads, || check(&mesh));
             drop(mesh);
-            give_back();
+            return_memory();
             found
         });
         Ok(Check::of(&found.map_err(exception)?, measures))
@@ -237,7 +238,7 @@ impl Mesh {
         preview: bool,
     ) -> PyResult<u64> {
         let work = Work::new();
-        let request = work.holds(self.request.clone(), false);
+        let request = work.attach_to(self.request.clone(), false);
         let replace = if overwrite { Replace::Allow } else { Replace::Refuse };
         let (bytes, warnings) = with_progress(py, None, work, || {
             let output = request.output(&path, replace)?;
@@ -262,7 +263,8 @@ impl Mesh {
         keywords.set_item("faces", &arrays.triangles)?;
         keywords.set_item("vertex_normals", &arrays.normals)?;
         keywords.set_item("vertex_attributes", &arrays.attributes)?;
-        // Otherwise trimesh merges nearby vertices, which the surface keeps separate on purpose.
+        // Without this keyword, trimesh would merge vertices whose positions are almost equal, and
+        // so change the connectivity of the mesh.
         keywords.set_item("process", false)?;
         Ok(keywords)
     }

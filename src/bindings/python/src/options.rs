@@ -74,7 +74,7 @@ impl Keywords {
         known: &[KeywordGroup],
     ) -> PyResult<Self> {
         let memory = default_memory();
-        let mut asked = Self { request: Reconstruction::new(), device: Device::default(), memory };
+        let mut parsed = Self { request: Reconstruction::new(), device: Device::default(), memory };
         let mut settings = Settings::default();
         let (mut spacing, mut cell) = (None, None);
         for (name, value) in keywords.into_iter().flatten() {
@@ -96,31 +96,31 @@ impl Keywords {
                     "{name}: cannot be used with {before}, which sets the same length"
                 )));
             }
-            let given = Keyword { name: &name, value: &value };
-            if !settings.set(&name, &given)? {
-                asked.take_of_machine(&given)?;
+            let keyword = Keyword { name: &name, value: &value };
+            if !settings.set(&name, &keyword)? {
+                parsed.set_machine_option(&keyword)?;
             }
         }
-        asked.device.check()?;
-        asked.request = asked.request.with_settings(settings);
-        Ok(asked)
+        parsed.device.check()?;
+        parsed.request = parsed.request.with_settings(settings);
+        Ok(parsed)
     }
 
-    fn take_of_machine(&mut self, given: &Keyword<'_, '_>) -> PyResult<()> {
+    fn set_machine_option(&mut self, keyword: &Keyword<'_, '_>) -> PyResult<()> {
         let request = std::mem::take(&mut self.request);
-        self.request = match given.name {
-            "threads" => request.threads(given.whole()?),
+        self.request = match keyword.name {
+            "threads" => request.threads(keyword.whole()?),
             "memory" => {
-                self.memory = MemoryBudget(given.bytes()?);
+                self.memory = MemoryBudget(keyword.bytes()?);
                 request
             }
-            "scratch" => request.scratch(given.path()?),
+            "scratch" => request.scratch(keyword.path()?),
             "backend" => {
-                self.device.backend(given)?;
+                self.device.set_backend(keyword)?;
                 request
             }
             _ => {
-                self.device.named(given.text_or_number()?);
+                self.device.set_device(keyword.text_or_number()?);
                 request
             }
         };
@@ -132,7 +132,7 @@ impl Keywords {
     pub fn on_machine(self, input_bytes: Option<u64>) -> PyResult<Reconstruction> {
         let request = self.request.memory(self.memory);
         if !request.uses_backend() {
-            self.device.refuse("kernel methods run only on the CPU")?;
+            self.device.check_not_required("kernel methods run only on the CPU")?;
             return Ok(request);
         }
         Ok(match self.device.open(self.memory, input_bytes)? {

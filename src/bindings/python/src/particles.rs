@@ -6,12 +6,12 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyMapping;
 
-use crate::arrays::{HeldArray, Numbers, columns, refuse_length, vectors};
+use crate::arrays::{BoundArray, Numbers, check_length, columns, vectors};
 
 /// The caller's arrays of positions and attributes, kept alive while the library reads them.
 pub struct Arrays<'py> {
-    pub positions: HeldArray<'py>,
-    others: Vec<(String, HeldArray<'py>)>,
+    pub positions: BoundArray<'py>,
+    others: Vec<(String, BoundArray<'py>)>,
 }
 
 /// Particles for the library, which reads them in place from `Arrays`.
@@ -23,8 +23,8 @@ pub struct ArrayParticles {
 }
 
 impl<'py> Arrays<'py> {
-    /// Takes positions, optional velocities, and other attributes by name.
-    pub fn take(
+    /// Reads the caller's positions, optional velocities, and other attributes by name.
+    pub fn from_python(
         positions: &Bound<'py, PyAny>,
         velocity: Option<&Bound<'py, PyAny>>,
         attributes: Option<&Bound<'py, PyAny>>,
@@ -32,9 +32,9 @@ impl<'py> Arrays<'py> {
         let positions = vectors("positions", positions)?;
         let mut others = Vec::new();
         if let Some(velocity) = velocity {
-            let held = vectors("velocity", velocity)?;
-            refuse_length("velocity", &held, positions.numbers.rows())?;
-            others.push(("velocity".to_owned(), held));
+            let bound = vectors("velocity", velocity)?;
+            check_length("velocity", &bound, positions.numbers.rows())?;
+            others.push(("velocity".to_owned(), bound));
         }
         if let Some(attributes) = attributes {
             let mapping = attributes.cast::<PyMapping>().map_err(|_| {
@@ -48,44 +48,44 @@ impl<'py> Arrays<'py> {
                 if others.iter().any(|(known, _)| *known == name) {
                     return Err(PyTypeError::new_err("velocity: is also given in attributes"));
                 }
-                let shown = format!("attributes[{name:?}]");
-                let held = columns(&shown, &array)?;
-                refuse_length(&shown, &held, positions.numbers.rows())?;
-                others.push((name, held));
+                let label = format!("attributes[{name:?}]");
+                let bound = columns(&label, &array)?;
+                check_length(&label, &bound, positions.numbers.rows())?;
+                others.push((name, bound));
             }
         }
         Ok(Self { positions, others })
     }
 
     /// The particles for the library, which may read them only while `self` lives.
-    pub fn water(&self) -> ArrayParticles {
-        let info = |(name, held): &(String, HeldArray<'_>)| {
-            let info = AttributeInfo::new(name, held.numbers.columns());
-            AttributeInfo { kind: held.numbers.meaning(&info), ..info }
+    pub fn as_particles(&self) -> ArrayParticles {
+        let info = |(name, bound): &(String, BoundArray<'_>)| {
+            let info = AttributeInfo::new(name, bound.numbers.columns());
+            AttributeInfo { kind: bound.numbers.attribute_kind(&info), ..info }
         };
         ArrayParticles {
             positions: self.positions.numbers,
             attributes: self.others.iter().map(info).collect(),
-            values: self.others.iter().map(|(_, held)| held.numbers).collect(),
+            values: self.others.iter().map(|(_, bound)| bound.numbers).collect(),
         }
     }
 
     /// The name of the first attribute that is not in `names`; `None` if `names` contains all
     /// attributes. Without `names`, only the velocity is expected: an attribute "velocity" with
     /// three components.
-    pub fn beyond(&self, names: Option<&[String]>) -> Option<&str> {
-        let is_known = |name: &String, held: &HeldArray<'_>| match names {
+    pub fn first_unnamed(&self, names: Option<&[String]>) -> Option<&str> {
+        let is_known = |name: &String, bound: &BoundArray<'_>| match names {
             Some(names) => names.contains(name),
-            None => name == "velocity" && held.numbers.columns() == 3,
+            None => name == "velocity" && bound.numbers.columns() == 3,
         };
-        let (name, _) = self.others.iter().find(|(name, held)| !is_known(name, held))?;
+        let (name, _) = self.others.iter().find(|(name, bound)| !is_known(name, bound))?;
         Some(name)
     }
 
     /// The names of all attributes; `None` if there are no attributes other than the velocity,
     /// because the library uses the velocity by default.
-    pub fn named(&self) -> Option<Vec<String>> {
-        self.beyond(None)?;
+    pub fn attribute_names(&self) -> Option<Vec<String>> {
+        self.first_unnamed(None)?;
         Some(self.others.iter().map(|(name, _)| name.clone()).collect())
     }
 }

@@ -17,8 +17,8 @@ use crate::work::{Work, with_progress};
 /// ----------
 /// positions : array of shape (N, 3), float32 or float64
 ///     A NumPy array, or any object that shares its memory by DLPack, the array interface or the
-///     buffer protocol. It may have any strides and be read-only. It is read in place, and never
-///     copied.
+///     buffer protocol. The array may have any strides and be read-only. It is read in place, and
+///     never copied.
 /// velocity : array of shape (N, 3), optional
 ///     Velocities of the particles; the mesh has them as ``attributes["velocity"]``.
 /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
@@ -29,13 +29,13 @@ use crate::work::{Work, with_progress};
 ///     Use only particles whose ``attributes`` satisfy a condition, such as "Type=1" or
 ///     "age<2.5 and z>0".
 /// spacing, radius : float, optional
-///     Distance between neighbouring particles, or half this distance. It is estimated if neither
-///     is given.
+///     Distance between neighbouring particles, or half this distance. Without both keywords, the
+///     spacing is estimated.
 /// size : str, optional
 ///     Attribute with the particles' sizes, if the sizes differ; "pscale", "radius" and "spacing"
-///     are found without this keyword. The attribute's name says what its values are: radii,
-///     diameters, volumes, or masses, which need a density. "none" treats all particles as one
-///     size.
+///     are found without this keyword. The attribute's name determines whether its values are
+///     radii, diameters, volumes, or masses, which need a density. With "none", all particles have
+///     one size.
 /// cell, cell_size : float, optional
 ///     Edge length of a cell, in spacings (0.5 by default; use 0.25 for renders) or as a length.
 /// origin : three floats, optional
@@ -144,14 +144,14 @@ pub fn reconstruct(
             KeywordGroup::Machine,
         ],
     )?;
-    let arrays = Arrays::take(positions, velocity, attributes)?;
+    let arrays = Arrays::from_python(positions, velocity, attributes)?;
     let mut request = keywords.on_machine(Some(arrays.positions.bytes()))?;
-    if let Some(names) = arrays.named() {
+    if let Some(names) = arrays.attribute_names() {
         request = request.attributes(names);
     }
     let work = Work::new();
-    let request = work.holds(request, progress.is_some());
-    let water = arrays.water();
-    let surface = with_progress(py, progress, work, || request.run(&water))?;
+    let request = work.attach_to(request, progress.is_some());
+    let particles = arrays.as_particles();
+    let surface = with_progress(py, progress, work, || request.run(&particles))?;
     Mesh::new(py, surface, request)
 }

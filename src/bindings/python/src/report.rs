@@ -11,8 +11,8 @@ use pyo3::prelude::*;
 /// Attributes
 /// ----------
 /// spacing : float or None
-///     Distance between neighbouring particles; None if it is unknown because a cell size was
-///     given.
+///     Distance between neighbouring particles; None if it is unknown because the caller chose a
+///     cell size.
 /// spacing_source : str or None
 ///     Source of the spacing, as text; None for packed frames and for frames of a simulation.
 /// cell_size : float
@@ -112,7 +112,7 @@ impl Report {
 }
 
 /// The result of ``Mesh.check``: defects and measures of a mesh. It is True as a condition if the
-/// mesh is closed, oriented and 2-manifold.
+/// mesh is closed, oriented and 2-manifold, and all positions are finite.
 ///
 /// Attributes
 /// ----------

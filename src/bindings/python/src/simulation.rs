@@ -87,7 +87,7 @@ pub const SIMULATION: [&str; 10] = [
 pub struct Simulation {
     kind: Kind,
     request: Reconstruction,
-    /// The value of the keyword `attributes`, if it was given.
+    /// The value of the keyword `attributes`, if the caller passed it.
     names: Option<Vec<String>>,
     process: u32,
 }
@@ -99,9 +99,10 @@ enum Kind {
 }
 
 impl Simulation {
-    /// Rejects arrays of attributes that the keyword `attributes` of the simulation does not name.
-    fn refuse_unnamed(&self, arrays: &Arrays<'_>) -> PyResult<()> {
-        arrays.beyond(self.names.as_deref()).map_or(Ok(()), |name| {
+    /// Returns an error if the keyword `attributes` of the simulation does not name an array's
+    /// attribute.
+    fn check_attribute_names(&self, arrays: &Arrays<'_>) -> PyResult<()> {
+        arrays.first_unnamed(self.names.as_deref()).map_or(Ok(()), |name| {
             Err(InputError::new_err(format!(
                 "attributes: {name:?} was not named when the simulation was made; name it in the \
                  keyword attributes of Simulation"
@@ -144,15 +145,15 @@ impl Simulation {
             KeywordGroup::Attributes,
             KeywordGroup::Simulation,
         ];
-        let asked = Keywords::of("Simulation", keywords, known)?;
+        let parsed = Keywords::of("Simulation", keywords, known)?;
         let (Some(inputs), Some(output)) = (inputs, &output) else {
             if inputs.is_some() || output.is_some() {
                 return Err(InputError::new_err(
                     "output: inputs and output must be given together",
                 ));
             }
-            refuse_of_files(keywords)?;
-            let request = asked.on_machine(None)?;
+            reject_file_keywords(keywords)?;
+            let request = parsed.on_machine(None)?;
             let live = LiveSimulation::new(&request).map_err(exception)?;
             return Ok(Self {
                 kind: Kind::Live(Box::new(Mutex::new(live))),
@@ -161,10 +162,10 @@ impl Simulation {
                 process,
             });
         };
-        let (files, preview) = of_files(paths("inputs", inputs)?, output.clone(), keywords)?;
-        let files = files.reconstruction(asked.request.clone());
+        let (files, preview) = file_simulation(paths("inputs", inputs)?, output.clone(), keywords)?;
+        let files = files.reconstruction(parsed.request.clone());
         let bytes = on_all_cores(|| files.check().map(|()| files.input_bytes()));
-        let request = asked.on_machine(bytes.flatten().map_err(exception)?)?;
+        let request = parsed.on_machine(bytes.flatten().map_err(exception)?)?;
         let files = files.reconstruction(request.clone());
         Ok(Self { kind: Kind::Files(Box::new(files), preview), request, names, process })
     }
@@ -201,8 +202,8 @@ impl Simulation {
             let what = "the simulation was made in another process and cannot be used in this one";
             return Err(other(what));
         }
-        let arrays = Arrays::take(positions, velocity, attributes)?;
-        self.refuse_unnamed(&arrays)?;
+        let arrays = Arrays::from_python(positions, velocity, attributes)?;
+        self.check_attribute_names(&arrays)?;
         // Do not wait for another thread: it may need the interpreter's lock, which this thread
         // holds.
         let mut live = match live.try_lock() {
@@ -214,10 +215,10 @@ impl Simulation {
         };
         let live = &mut *live;
         let work = Work::new();
-        let request = work.holds(self.request.clone(), progress.is_some());
+        let request = work.attach_to(self.request.clone(), progress.is_some());
         live.set_control(&request);
-        let water = arrays.water();
-        let surface = with_progress(py, progress, work, || live.frame(&water))?;
+        let particles = arrays.as_particles();
+        let surface = with_progress(py, progress, work, || live.frame(&particles))?;
         Mesh::new(py, surface, request)
     }
 
@@ -254,14 +255,14 @@ impl Simulation {
     #[pyo3(signature = (*, progress=None))]
     fn run(&self, py: Python<'_>, progress: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<Summary>> {
         let preview = matches!(self.kind, Kind::Files(_, true));
-        let (ended, undrawn) = self.on_files(py, progress, |files, report| {
+        let (ended, warning) = self.on_files(py, progress, |files, report| {
             let mut files = files.clone();
             let sheet = preview.then(|| files.sheet()).transpose()?;
             let ended = files.run(report)?;
-            let undrawn = sheet.map(|sheet| sheet.draw()).transpose()?;
-            Ok((ended, undrawn.and_then(|sheet| sheet.warning())))
+            let drawn = sheet.map(|sheet| sheet.draw()).transpose()?;
+            Ok((ended, drawn.and_then(|sheet| sheet.warning())))
         })?;
-        warn(py, undrawn)?;
+        warn(py, warning)?;
         Ok(ended.into_iter().map(Summary::from).collect())
     }
 
@@ -291,11 +292,11 @@ impl Simulation {
         let files =
             files.as_ref().clone().reconstruction(self.request.clone().cancel(work.cancel.clone()));
         let sender = work.sender.clone();
-        let hear = |(event, warnings): (Event, Vec<String>)| {
+        let on_event = |(event, warnings): (Event, Vec<String>)| {
             warn(py, warnings)?;
             progress.map_or(Ok(()), |callback| callback.call1((event,)).map(drop))
         };
-        work.run(py, hear, || {
+        work.run(py, on_event, || {
             let act = || {
                 act(&files, &|event| {
                     // This cannot fail: the caller receives events until this work has ended.
@@ -307,8 +308,8 @@ impl Simulation {
     }
 }
 
-/// For a simulation from memory, rejects keywords that apply only to files.
-fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
+/// Returns an error if keywords of a simulation from memory apply only to files.
+fn reject_file_keywords(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
         if !value.is_none() && (name == "format" || SIMULATION.contains(&name.as_str())) {
@@ -318,7 +319,7 @@ fn refuse_of_files(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     Ok(())
 }
 
-fn of_files(
+fn file_simulation(
     inputs: Vec<PathBuf>,
     output: PathBuf,
     keywords: Option<&Bound<'_, PyDict>>,
@@ -330,11 +331,11 @@ fn of_files(
         if value.is_none() {
             continue;
         }
-        let given = Keyword { name: &name, value: &value };
+        let keyword = Keyword { name: &name, value: &value };
         files = match name.as_str() {
-            "start" => files.start(given.frame()?),
-            "end" => files.end(given.frame()?),
-            "step" => files.step(given.whole()?),
+            "start" => files.start(keyword.frame()?),
+            "end" => files.end(keyword.frame()?),
+            "step" => files.step(keyword.whole()?),
             "frames" => {
                 let wrong =
                     |_| PyTypeError::new_err("frames: must be a pair of numbers: first and last");
@@ -344,13 +345,13 @@ fn of_files(
                 }
                 files.frames(first..=last)
             }
-            "resume" if given.switch()? => files.resume(),
-            "overwrite" if given.switch()? => files.overwrite(),
-            "watch" => files.watch(given.number()?),
-            "fps" => files.fps(given.number()?),
-            "together" if given.switch()? => files.together(),
+            "resume" if keyword.switch()? => files.resume(),
+            "overwrite" if keyword.switch()? => files.overwrite(),
+            "watch" => files.watch(keyword.number()?),
+            "fps" => files.fps(keyword.number()?),
+            "together" if keyword.switch()? => files.together(),
             "preview" => {
-                preview = given.switch()?;
+                preview = keyword.switch()?;
                 files
             }
             _ => files,

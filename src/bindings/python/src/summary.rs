@@ -12,7 +12,7 @@ use pyo3::prelude::*;
 /// ----------
 /// kind : str
 ///     "waiting", "times_in_names", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
-///     "stage", "done", "failed", "simulation_failed" or "ended".
+///     "stage", "done", "failed", "simulation_failed", "ended", or "other" for any other event.
 /// message : str
 ///     A description of the event, as a line of text.
 /// frame : int or None

@@ -18,7 +18,7 @@ pub struct Keyword<'a, 'py> {
 
 impl<'py> Keyword<'_, 'py> {
     /// The exception for a value of the wrong type; `what` describes the expected type.
-    fn wants(&self, what: &str) -> PyErr {
+    fn type_error(&self, what: &str) -> PyErr {
         let kind =
             self.value.get_type().name().map_or_else(|_| "that".into(), |name| name.to_string());
         PyTypeError::new_err(format!("{}: must be {what}, not {kind}", self.name))
@@ -26,7 +26,7 @@ impl<'py> Keyword<'_, 'py> {
 
     /// Takes a non-negative integer.
     pub fn whole<T: TryFrom<u64>>(&self) -> PyResult<T> {
-        let number: i128 = self.value.extract().map_err(|_| self.wants("a whole number"))?;
+        let number: i128 = self.value.extract().map_err(|_| self.type_error("a whole number"))?;
         let count = u64::try_from(number).ok().and_then(|number| T::try_from(number).ok());
         count.ok_or_else(|| InputError::new_err(format!("{}: {number} is out of range", self.name)))
     }
@@ -37,7 +37,7 @@ impl<'py> Keyword<'_, 'py> {
             if fault.is_instance_of::<PyOverflowError>(self.value.py()) {
                 InputError::new_err(format!("{}: {} is out of range", self.name, self.value))
             } else {
-                self.wants("a whole number")
+                self.type_error("a whole number")
             }
         })
     }
@@ -46,26 +46,26 @@ impl<'py> Keyword<'_, 'py> {
     pub fn text_or_number(&self) -> PyResult<String> {
         match self.value.extract::<u32>() {
             Ok(number) => Ok(number.to_string()),
-            Err(_) => self.value.extract().map_err(|_| self.wants("a str or a whole number")),
+            Err(_) => self.value.extract().map_err(|_| self.type_error("a str or a whole number")),
         }
     }
 
     pub fn path(&self) -> PyResult<PathBuf> {
-        self.value.extract().map_err(|_| self.wants("a str or a path"))
+        self.value.extract().map_err(|_| self.type_error("a str or a path"))
     }
 
     /// Takes numbers and `None` from a sequence, or from a sequence of sequences.
     fn ends(&self) -> PyResult<Vec<Option<f64>>> {
-        let wanted = |_| self.wants("a sequence of numbers");
+        let not_numbers = |_| self.type_error("a sequence of numbers");
         let mut ends = Vec::new();
-        for item in self.value.try_iter().map_err(wanted)? {
+        for item in self.value.try_iter().map_err(not_numbers)? {
             let item = item?;
             if let Ok(end) = item.extract::<Option<f64>>() {
                 ends.push(end);
                 continue;
             }
-            for end in item.try_iter().map_err(wanted)? {
-                ends.push(end?.extract().map_err(wanted)?);
+            for end in item.try_iter().map_err(not_numbers)? {
+                ends.push(end?.extract().map_err(not_numbers)?);
             }
         }
         Ok(ends)
@@ -99,7 +99,7 @@ impl Source for Keyword<'_, '_> {
     type Error = PyErr;
 
     fn number(&self) -> PyResult<f64> {
-        self.value.extract().map_err(|_| self.wants("a number"))
+        self.value.extract().map_err(|_| self.type_error("a number"))
     }
 
     fn count<T: TryFrom<u64>>(&self) -> PyResult<T> {
@@ -109,11 +109,11 @@ impl Source for Keyword<'_, '_> {
     fn switch(&self) -> PyResult<bool> {
         // This also accepts the type numpy.bool.
         let is_bool = self.value.extract::<bool>();
-        is_bool.map_err(|_| self.wants("True or False"))
+        is_bool.map_err(|_| self.type_error("True or False"))
     }
 
     fn text(&self) -> PyResult<String> {
-        self.value.extract().map_err(|_| self.wants("a str"))
+        self.value.extract().map_err(|_| self.type_error("a str"))
     }
 
     fn one_of(&self, words: &[&str]) -> PyResult<usize> {
@@ -124,15 +124,15 @@ impl Source for Keyword<'_, '_> {
         })
     }
 
-    /// Takes a list of names. Rejects a single string, which Python would treat as a list of
-    /// letters.
+    /// Takes a list of names. A single string is an error, because Python would treat it as a list
+    /// of letters.
     fn names(&self) -> PyResult<Vec<String>> {
         if self.value.is_instance_of::<PyString>() {
-            return Err(self.wants("a list of names"));
+            return Err(self.type_error("a list of names"));
         }
         let names =
             self.value.try_iter().and_then(|names| names.map(|name| name?.extract()).collect());
-        names.map_err(|_| self.wants("a list of names"))
+        names.map_err(|_| self.type_error("a list of names"))
     }
 
     fn point(&self) -> PyResult<[f64; 3]> {
@@ -145,9 +145,9 @@ impl Source for Keyword<'_, '_> {
 
     /// Takes six numbers, or two corners of three numbers each. `None` at both ends opens an axis.
     fn faces(&self) -> PyResult<Faces> {
-        let refused =
+        let invalid =
             |what: String| InputError::new_err(format!("{}: {what} with None", self.name));
-        self.six_ends()?.try_into().map_err(refused)
+        self.six_ends()?.try_into().map_err(invalid)
     }
 
     /// Takes six numbers, or two corners of three numbers each. `None` opens a side.
@@ -159,7 +159,9 @@ impl Source for Keyword<'_, '_> {
     fn conditions(&self) -> PyResult<Where> {
         let text = match self.text() {
             Ok(text) => text,
-            Err(_) => self.names().map_err(|_| self.wants("a str or a list of str"))?.join(" and "),
+            Err(_) => {
+                self.names().map_err(|_| self.type_error("a str or a list of str"))?.join(" and ")
+            }
         };
         text.parse().map_err(|what| InputError::new_err(format!("{}: {what}", self.name)))
     }

@@ -2,8 +2,8 @@
 //! progress callback cancels a call.
 //!
 //! The call runs on a separate thread, while the caller's thread waits for its messages. The
-//! caller's thread also checks for signals, which Python handles only on its main thread, and runs
-//! the callbacks, because they may use any API.
+//! caller's thread also checks for signals, because Python handles signals only on its main thread,
+//! and runs the callbacks, because callbacks may use any Python API.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
@@ -16,7 +16,7 @@ use pyo3::prelude::*;
 use rayon::ThreadPoolBuilder;
 
 use crate::errors::{exception, other};
-use crate::memory::give_back;
+use crate::memory::return_memory;
 
 /// Runs `act` on temporary threads, one per core.
 ///
@@ -57,11 +57,12 @@ impl<N: Send + 'static> Work<N> {
         Self { cancel: Cancel::new(), sender, receiver: Mutex::new(receiver) }
     }
 
-    /// Runs `act` on a separate thread, and calls `hear` with its messages on the caller's thread.
+    /// Runs `act` on a separate thread, and calls `on_event` with its events on the caller's
+    /// thread.
     pub fn run<T: Send>(
         self,
         py: Python<'_>,
-        mut hear: impl FnMut(N) -> PyResult<()>,
+        mut on_event: impl FnMut(N) -> PyResult<()>,
         act: impl FnOnce() -> Result<T, Error> + Send,
     ) -> PyResult<T> {
         let Self { cancel, sender, receiver } = self;
@@ -79,13 +80,13 @@ impl<N: Send + 'static> Work<N> {
                 let next = py.detach(|| {
                     receiver.lock().unwrap_or_else(PoisonError::into_inner).recv_timeout(POLL)
                 });
-                let heard = match next {
+                let handled = match next {
                     Ok(Message::Done) | Err(RecvTimeoutError::Disconnected) => break,
-                    Ok(Message::Event(receiver)) if raised.is_none() => hear(receiver),
+                    Ok(Message::Event(event)) if raised.is_none() => on_event(event),
                     Ok(Message::Event(_)) | Err(RecvTimeoutError::Timeout) => Ok(()),
                 };
                 if raised.is_none()
-                    && let Err(error) = heard.and_then(|()| py.check_signals())
+                    && let Err(error) = handled.and_then(|()| py.check_signals())
                 {
                     cancel.cancel();
                     raised = Some(error);
@@ -93,7 +94,7 @@ impl<N: Send + 'static> Work<N> {
             }
             let ended = py.detach(|| {
                 let ended = worker.join().and_then(|ended| ended);
-                give_back();
+                return_memory();
                 ended
             });
             ended.map_err(|panic| {
@@ -116,16 +117,17 @@ pub fn with_progress<T: Send>(
     work: Work<Progress>,
     act: impl FnOnce() -> Result<T, Error> + Send,
 ) -> PyResult<T> {
-    let hear = |receiver: Progress| match progress {
-        Some(callback) => callback.call1((receiver.stage.name(), receiver.done)).map(drop),
+    let on_progress = |report: Progress| match progress {
+        Some(callback) => callback.call1((report.stage.name(), report.done)).map(drop),
         None => Ok(()),
     };
-    work.run(py, hear, act)
+    work.run(py, on_progress, act)
 }
 
 impl Work<Progress> {
-    /// Adds this work's cancel handle to a request and, if `reports` is set, its progress messages.
-    pub fn holds(
+    /// Adds this work's cancel handle to a request. If `reports` is set, the request also sends its
+    /// progress to this work.
+    pub fn attach_to(
         &self,
         request: meniscus::Reconstruction,
         reports: bool,

@@ -78,7 +78,7 @@ KINDS = {
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_arrays_of_this_kind_give_the_mesh_of_plain_ones(ball: Any, kind: str, dtype: str) -> None:
+def test_every_kind_of_array_gives_the_mesh_of_a_contiguous_array(ball: Any, kind: str, dtype: str) -> None:
     plain = ball.astype(dtype)
     kept = plain.copy()
     heat = plain[:, 1].copy()
@@ -90,7 +90,7 @@ def test_arrays_of_this_kind_give_the_mesh_of_plain_ones(ball: Any, kind: str, d
     assert np.array_equal(plain, kept)
 
 
-def test_positions_are_never_copied_whole() -> None:
+def test_positions_are_not_copied() -> None:
     # The array repeats one row, so it takes no memory, but a copy would take 192 MB.
     code = """
 import re, numpy, meniscus
@@ -104,13 +104,13 @@ print(peak() - before)
     assert float(done.stdout) < 150
 
 
-def test_torch_on_the_host_is_read_by_dlpack(ball: Any) -> None:
+def test_a_torch_tensor_in_host_memory_is_read_by_dlpack(ball: Any) -> None:
     torch = pytest.importorskip("torch")
     assert same(meniscus.reconstruct(torch.from_numpy(ball.copy())), meniscus.reconstruct(ball))
 
 
 @pytest.mark.parametrize("keyword", ["positions", "velocity"])
-def test_an_array_on_a_device_is_a_type_error_that_names_cpu(ball: Any, keyword: str) -> None:
+def test_an_array_on_a_device_is_a_type_error_that_suggests_cpu(ball: Any, keyword: str) -> None:
     arrays = {"positions": ball, keyword: OnlyDLPack(ball, (2, 0), "cuda:0")}
     with pytest.raises(TypeError, match=rf"^{keyword}: OnlyDLPack is on cuda:0; use \.cpu\(\) to copy it to the CPU"):
         meniscus.reconstruct(**arrays)
@@ -172,7 +172,7 @@ def test_an_error_for_a_field_names_the_method_that_makes_an_array() -> None:
         (b"bytes", TypeError, "not uint8"),
     ],
 )
-def test_what_is_no_array_of_positions_is_refused_by_name(positions: Any, error: type[Exception], what: str) -> None:
+def test_invalid_positions_give_an_error_that_names_the_argument(positions: Any, error: type[Exception], what: str) -> None:
     with pytest.raises(error, match=f"^positions: .*{what}"):
         meniscus.reconstruct(positions)
     with pytest.raises(error, match=f"^positions: .*{what}"):
@@ -199,7 +199,7 @@ def test_what_is_no_array_of_positions_is_refused_by_name(positions: Any, error:
         ({"attributes": {"velocity": np.zeros(5)}, "velocity": np.zeros((5, 3))}, TypeError, "velocity: "),
     ],
 )
-def test_other_arrays_are_refused_by_their_names(keywords: dict[str, Any], error: type[Exception], what: str) -> None:
+def test_other_invalid_arrays_give_errors_that_name_them(keywords: dict[str, Any], error: type[Exception], what: str) -> None:
     with pytest.raises(error, match=what):
         meniscus.reconstruct(np.zeros((5, 3)), **keywords)
 
@@ -218,7 +218,7 @@ IDENTIFIERS = {
 
 
 @pytest.mark.parametrize("dtype", IDENTIFIERS)
-def test_whole_numbers_are_those_of_a_particle_nearby(ball: Any, dtype: str) -> None:
+def test_integers_come_from_a_nearby_particle(ball: Any, dtype: str) -> None:
     kind, first = IDENTIFIERS[dtype]
     narrow = np.dtype(dtype).itemsize == 1
     ids = (first + np.arange(len(ball)) % (28 if narrow else 2500)).astype(dtype)
@@ -239,7 +239,7 @@ def test_whole_numbers_are_those_of_a_particle_nearby(ball: Any, dtype: str) -> 
 
 
 @pytest.mark.parametrize(("dtype", "greatest"), [(np.uint8, 255), (np.int64, 255), (np.uint16, 65535)])
-def test_whole_numbers_in_the_range_of_a_colour_become_one(ball: Any, tmp_path: Path, dtype: Any, greatest: int) -> None:
+def test_integer_colours_are_scaled_to_floats(ball: Any, tmp_path: Path, dtype: Any, greatest: int) -> None:
     colours = np.tile(np.round(np.array([0.2, 0.4, 1.0]) * greatest).astype(dtype), (len(ball), 1))
     mesh = meniscus.reconstruct(ball, spacing=1.0, attributes={"Cd": colours})
     mesh.write(tmp_path / "mesh.obj")
@@ -248,7 +248,7 @@ def test_whole_numbers_in_the_range_of_a_colour_become_one(ball: Any, tmp_path: 
     assert np.allclose([float(word) for word in vertex.split()[4:]], [0.2, 0.4, 1.0], atol=1e-6)
 
 
-def test_whole_numbers_that_a_mesh_does_not_hold_are_refused(ball: Any) -> None:
+def test_integers_beyond_32_bits_are_an_error(ball: Any) -> None:
     ids = np.arange(len(ball)) + 2**40
     with pytest.raises(meniscus.InputError, match='"id" has the value .* 2147483647'):
         meniscus.reconstruct(ball, spacing=1.0, attributes={"id": ids})
@@ -275,13 +275,13 @@ def test_particles_are_selected_by_their_attributes(ball: Any) -> None:
     both = np.concatenate([ball, ball + 100.0])
     kind = np.repeat(np.array([1, 2**24 + 1], np.int32), len(ball))
     alone = meniscus.reconstruct(ball, spacing=1.0)
-    asked = {"attributes": {"kind": kind, "height": both[:, 1]}, "spacing": 1.0}
-    assert same(meniscus.reconstruct(both, where="kind=1", **asked), alone)
-    assert same(meniscus.reconstruct(both, where="kind!=16777217 and height<50", **asked), alone)
-    assert same(meniscus.reconstruct(both, where=["kind<2", "x<50"], **asked), alone)
-    assert same(meniscus.Frame(both, where="kind=1", **asked).surface(), alone)
+    common = {"attributes": {"kind": kind, "height": both[:, 1]}, "spacing": 1.0}
+    assert same(meniscus.reconstruct(both, where="kind=1", **common), alone)
+    assert same(meniscus.reconstruct(both, where="kind!=16777217 and height<50", **common), alone)
+    assert same(meniscus.reconstruct(both, where=["kind<2", "x<50"], **common), alone)
+    assert same(meniscus.Frame(both, where="kind=1", **common).surface(), alone)
     # The value must be read exactly: rounded to float32, it would be 2^24.
     with pytest.raises(meniscus.Error):
-        meniscus.reconstruct(both, where="kind=16777216", **asked)
+        meniscus.reconstruct(both, where="kind=16777216", **common)
     with pytest.raises(meniscus.Error, match="heat"):
-        meniscus.reconstruct(both, where="heat<3", **asked)
+        meniscus.reconstruct(both, where="heat<3", **common)

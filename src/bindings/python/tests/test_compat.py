@@ -29,12 +29,12 @@ def positions() -> Any:
 
 
 @pytest.fixture(autouse=True)
-def _forget(monkeypatch: pytest.MonkeyPatch) -> None:
+def _reset_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ours, "_ignored", set())
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_signatures_are_theirs(name: str) -> None:
+def test_signatures_equal_those_of_pysplashsurf(name: str) -> None:
     def shown(function: Any) -> list[tuple[str, Any, Any]]:
         return [(p.name, p.kind, p.default) for p in inspect.signature(function).parameters.values()]
 
@@ -48,7 +48,7 @@ def test_the_docs_have_a_row_for_every_keyword() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_the_call_of_genesis_runs_with_another_import_alone(positions: Any, dtype: Any) -> None:
+def test_the_call_of_genesis_needs_only_a_different_import(positions: Any, dtype: Any) -> None:
     def call(reconstruction_pipeline: Any) -> tuple[Any, Any]:
         mesh_with_data, reconstruction = reconstruction_pipeline(
             positions.astype(dtype),
@@ -90,7 +90,7 @@ def test_lengths_are_relative_to_the_radius_in_both_functions(positions: Any) ->
         assert made.grid.cell_size == pytest.approx(0.8 * RADIUS)
 
 
-def test_attributes_and_raw_normals_are_where_they_are_looked_for(positions: Any) -> None:
+def test_attributes_and_raw_normals_are_point_attributes(positions: Any) -> None:
     attributes = {"v": positions, "heat": positions[:, 1].copy(), "id": np.arange(len(positions), dtype=np.uint64)}
     keywords = {"particle_radius": RADIUS, "smoothing_length": 2.0, "cube_size": 1.0, "compute_normals": True}
     data, _ = ours.reconstruction_pipeline(
@@ -106,7 +106,7 @@ def test_attributes_and_raw_normals_are_where_they_are_looked_for(positions: Any
     assert np.abs(data.point_attributes["heat"] - data.mesh.vertices[:, 1]).max() < 4 * RADIUS
 
 
-def test_a_box_of_particles_and_a_box_of_the_mesh_leave_out_what_theirs_do(positions: Any) -> None:
+def test_boxes_remove_the_same_particles_and_triangles_as_pysplashsurf(positions: Any) -> None:
     keywords: dict[str, Any] = {"particle_radius": RADIUS, "smoothing_length": 2.0, "cube_size": 1.0}
     inside = {}
     for by in ours, theirs:
@@ -124,7 +124,7 @@ def test_a_box_of_particles_and_a_box_of_the_mesh_leave_out_what_theirs_do(posit
         assert data.ncells == kept and data.mesh.triangles.max() == data.nvertices - 1
 
 
-def test_what_is_ignored_is_warned_of_once(positions: Any) -> None:
+def test_ignored_keywords_give_one_warning(positions: Any) -> None:
     keywords: dict[str, Any] = {"particle_radius": RADIUS, "smoothing_length": 2.0, "cube_size": 1.0}
     with pytest.warns(meniscus.MeshWarning, match="iso_surface_threshold, generate_quads") as caught:
         for _ in range(3):
@@ -132,13 +132,13 @@ def test_what_is_ignored_is_warned_of_once(positions: Any) -> None:
     assert len(caught) == 1 and caught[0].filename == __file__
 
 
-def test_no_particles_are_an_empty_mesh_as_theirs(positions: Any) -> None:
+def test_no_particles_give_an_empty_mesh_as_in_pysplashsurf(positions: Any) -> None:
     for by in ours, theirs:
         made = by.reconstruct_surface(positions[:0], particle_radius=RADIUS, smoothing_length=2.0, cube_size=1.0)
         assert made.mesh.vertices.shape == (0, 3) and made.mesh.triangles.shape == (0, 3)
 
 
-def test_other_types_are_refused_as_theirs(positions: Any) -> None:
+def test_other_types_are_errors_as_in_pysplashsurf(positions: Any) -> None:
     for by in ours, theirs:
         with pytest.raises(TypeError, match="only f32 and f64 are supported"):
             by.reconstruct_surface(positions.astype(int), particle_radius=RADIUS, smoothing_length=2.0, cube_size=1.0)

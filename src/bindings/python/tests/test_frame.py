@@ -15,11 +15,11 @@ def same(mesh: meniscus.Mesh, other: meniscus.Mesh) -> bool:
     return np.array_equal(mesh.vertices, other.vertices) and np.array_equal(mesh.triangles, other.triangles)
 
 
-def test_its_surface_is_that_of_its_particles_by_whatever_keywords(ball: Any) -> None:
+def test_surface_equals_reconstruct_with_the_same_keywords(ball: Any) -> None:
     frame = meniscus.Frame(ball, spacing=1.0, velocity=ball, normals=True)
-    asked = meniscus.reconstruct(ball, spacing=1.0, velocity=ball, normals=True)
-    assert same(frame.surface(), asked) and np.array_equal(frame.surface().normals, asked.normals)  # type: ignore[arg-type]
-    assert np.array_equal(frame.surface().attributes["velocity"], asked.attributes["velocity"])
+    expected = meniscus.reconstruct(ball, spacing=1.0, velocity=ball, normals=True)
+    assert same(frame.surface(), expected) and np.array_equal(frame.surface().normals, expected.normals)  # type: ignore[arg-type]
+    assert np.array_equal(frame.surface().attributes["velocity"], expected.attributes["velocity"])
     # A keyword overrides the frame's value of this keyword. All other keywords keep the frame's
     # values.
     calm = frame.surface(smooth=2.5)
@@ -29,14 +29,14 @@ def test_its_surface_is_that_of_its_particles_by_whatever_keywords(ball: Any) ->
         frame.surface(spacing=2.0)  # type: ignore[call-arg]
 
 
-def test_it_does_not_need_its_particles_any_more(ball: Any) -> None:
+def test_a_frame_does_not_need_its_particles(ball: Any) -> None:
     positions = ball.copy()
     frame = meniscus.Frame(positions, spacing=1.0)
     positions[:] = np.nan
     assert same(frame.surface(), meniscus.reconstruct(ball, spacing=1.0))
 
 
-def test_it_is_packed_as_by_the_program_and_opened_again(tmp_path: Path, program: Any, ball: Any) -> None:
+def test_packed_frames_equal_the_programs_and_can_be_loaded(tmp_path: Path, program: Any, ball: Any) -> None:
     np.save(tmp_path / "in.npy", ball)
     program("pack", tmp_path / "in.npy", "-o", tmp_path / "theirs.mnf", "-q", "--spacing", 1)
     frame = meniscus.Frame(ball, spacing=1.0)
@@ -53,22 +53,22 @@ def test_it_is_packed_as_by_the_program_and_opened_again(tmp_path: Path, program
         meniscus.Frame(ball, method="mueller").save(tmp_path / "kernels.mnf")
 
 
-def test_particles_of_files_are_sampled_where_they_are(dambreak: Path) -> None:
+def test_loading_a_file_equals_reconstructing_its_arrays(dambreak: Path) -> None:
     file = dambreak / "ParticleData_Fluid_20.bgeo"
     read = meniscus.read_particles(file)
     frame = meniscus.Frame.load(file, cell=1.0, attributes=["velocity", "density"])
-    asked = meniscus.reconstruct(
+    expected = meniscus.reconstruct(
         read.positions, spacing=read.spacing, cell=1.0, velocity=read.velocity, attributes={"density": read.attributes["density"]}
     )
-    assert same(frame.surface(), asked) and set(frame.surface().attributes) == {"velocity", "density"}
-    assert np.array_equal(frame.surface().attributes["density"], asked.attributes["density"])
+    assert same(frame.surface(), expected) and set(frame.surface().attributes) == {"velocity", "density"}
+    assert np.array_equal(frame.surface().attributes["density"], expected.attributes["density"])
     assert set(meniscus.Frame.load(file).surface(smooth=2.0).attributes) == {"velocity"}
     assert frame.particles_up == "y" and meniscus.Frame.load(file, particles_up="z").particles_up == "z"
     with pytest.raises(meniscus.InputError, match='no attribute "heat"'):
         meniscus.Frame.load(file, attributes=["heat"])
 
 
-def test_a_packed_frame_is_sampled_already(tmp_path: Path, ball: Any) -> None:
+def test_a_packed_frame_rejects_keywords_of_the_sampling(tmp_path: Path, ball: Any) -> None:
     meniscus.Frame(ball, spacing=1.0).save(tmp_path / "ball.mnf")
     with pytest.raises(meniscus.InputError, match="ball.mnf"):
         meniscus.Frame.load(tmp_path / "ball.mnf", spacing=2.0)
@@ -90,7 +90,7 @@ def test_particles_of_several_files_make_one_surface(tmp_path: Path, program: An
         meniscus.Frame.load([])
 
 
-def test_its_volume_has_the_distances_from_its_surface(ball: Any) -> None:
+def test_the_volume_contains_distances_from_the_surface(ball: Any) -> None:
     frame = meniscus.Frame(ball, spacing=1.0)
     mesh, volume = frame.surface(), frame.volume()
     bricks = len(volume.origins)
@@ -118,7 +118,7 @@ def test_its_volume_has_the_distances_from_its_surface(ball: Any) -> None:
     assert inside.any() and (volume.values[inside] < 0).all()
 
 
-def test_its_volume_is_that_of_other_keywords(ball: Any) -> None:
+def test_the_volume_depends_on_keywords(ball: Any) -> None:
     frame = meniscus.Frame(ball, spacing=1.0)
     calm = frame.volume(smooth=2.5)
     assert not np.array_equal(calm.values, frame.volume().values)

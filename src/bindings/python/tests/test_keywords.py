@@ -14,7 +14,7 @@ import pytest
 import meniscus
 
 # Options of the program that are not keywords of `reconstruct`, each with the reason.
-OF_FILES = {
+FILE_OPTIONS = {
     "output": "Mesh.write() takes it",
     "overwrite": "Mesh.write() takes it, too",
     "preview": "Mesh.write() takes it; Simulation has it for a sheet of its frames",
@@ -28,7 +28,7 @@ OF_FILES = {
     "fps": "Simulation has it",
     "together": "Simulation has it; Frame.load() takes a list of files",
 }
-OF_THE_PROGRAM = {
+PROGRAM_OPTIONS = {
     "plan": "Simulation.plan() does this",
     "parts": "jobs on several machines make a mesh in parts from files, and call the program",
     "part": "for the same reason as parts",
@@ -40,9 +40,9 @@ OF_THE_PROGRAM = {
     "help": "it only prints",
     "version": "meniscus.__version__ contains it",
 }
-SIMULATION = set(OF_FILES) - {"output"}
+SIMULATION = set(FILE_OPTIONS) - {"output"}
 # Keywords that are not options: arrays besides the positions, and the progress callback.
-OWN = {"velocity", "attributes", "progress"}
+MODULE_KEYWORDS = {"velocity", "attributes", "progress"}
 
 
 def keywords(function: Any) -> set[str]:
@@ -89,7 +89,7 @@ def in_stub(where: ast.Module | ast.ClassDef, name: str) -> ast.FunctionDef:
 
 
 def members(annotation: ast.expr) -> list[ast.expr]:
-    """The members of a union type, or the type itself if it is no union."""
+    """The members of a union type, or the type itself if it is not a union."""
     if isinstance(annotation, ast.BinOp):
         return members(annotation.left) + members(annotation.right)
     return [annotation]
@@ -126,14 +126,14 @@ def options(program: Any) -> set[str]:
 
 def test_every_option_of_reconstruct_is_a_keyword(options: set[str]) -> None:
     assert len(options) > 40
-    assert set(OF_FILES) | set(OF_THE_PROGRAM) <= options, "OF_FILES or OF_THE_PROGRAM contains a name that is not an option"
-    wanted = options - set(OF_FILES) - set(OF_THE_PROGRAM)
+    assert set(FILE_OPTIONS) | set(PROGRAM_OPTIONS) <= options, "FILE_OPTIONS or PROGRAM_OPTIONS contains a name that is not an option"
+    wanted = options - set(FILE_OPTIONS) - set(PROGRAM_OPTIONS)
     for function in meniscus.reconstruct, meniscus.Frame:
-        assert keywords(function) == wanted | OWN
+        assert keywords(function) == wanted | MODULE_KEYWORDS
 
 
 def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
-    wanted = options - set(OF_THE_PROGRAM) - {"output", "progress"}
+    wanted = options - set(PROGRAM_OPTIONS) - {"output", "progress"}
     assert keywords(meniscus.Simulation) == wanted
     assert "output" in inspect.signature(meniscus.Simulation).parameters
     assert keywords(meniscus.Mesh.write) == {"overwrite", "preview"} <= options
@@ -141,7 +141,7 @@ def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
     assert "attributes" in wanted
 
 
-def test_a_frame_that_is_sampled_has_the_keywords_of_its_surface(options: set[str]) -> None:
+def test_surface_and_load_have_the_expected_keywords(options: set[str]) -> None:
     of_surface = keywords(meniscus.Frame.surface) - {"progress"}
     assert {"smooth", "simplify", "normals"} <= of_surface <= options
     assert keywords(meniscus.Frame.load) == keywords(meniscus.Frame) - {"velocity"} | {"format"}
@@ -162,7 +162,7 @@ def test_the_stub_has_the_keywords_of_each_function() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(typed("_OfFrames")))
-def test_every_type_of_the_stub_is_taken(name: str, tmp_path: Any) -> None:
+def test_every_type_in_the_stub_is_accepted(name: str, tmp_path: Any) -> None:
     """Passes each type that the stub allows to a simulation: its value may be rejected, but not its type."""
     inputs, output = tmp_path / "in_{}.bgeo", tmp_path / "out_{}.ply"
     known: list[str] = []
@@ -180,8 +180,8 @@ def test_every_type_of_the_stub_is_taken(name: str, tmp_path: Any) -> None:
         assert str(refused.value).rpartition("not one of ")[2].split(", ") == known
 
 
-@pytest.mark.parametrize("name", sorted(keywords(meniscus.reconstruct) - OWN))
-def test_every_keyword_is_read_and_refuses_nonsense_by_its_name(name: str, ball: Any) -> None:
+@pytest.mark.parametrize("name", sorted(keywords(meniscus.reconstruct) - MODULE_KEYWORDS))
+def test_an_invalid_value_gives_an_error_that_names_the_keyword(name: str, ball: Any) -> None:
     calls = [lambda value: meniscus.reconstruct(ball, **{name: value}), lambda value: meniscus.Simulation(**{name: value})]
     if name in keywords(meniscus.Frame.load):
         calls.append(lambda value: meniscus.Frame.load("none.mnf", **{name: value}))
@@ -208,11 +208,11 @@ def test_an_unknown_keyword_is_a_type_error(ball: Any) -> None:
         meniscus.Simulation(spacng=1.0)  # type: ignore[call-arg]
 
 
-def test_none_says_nothing(ball: Any) -> None:
+def test_none_means_the_default(ball: Any) -> None:
     nothing = dict.fromkeys(keywords(meniscus.reconstruct))
     mesh = meniscus.reconstruct(ball, **nothing)
     assert np.array_equal(mesh.triangles, meniscus.reconstruct(ball).triangles)
 
 
-def test_the_version_is_the_programs(program: Any) -> None:
+def test_the_version_equals_the_programs_version(program: Any) -> None:
     assert program("--version").split()[1] == meniscus.__version__

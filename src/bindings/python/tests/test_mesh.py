@@ -17,7 +17,7 @@ import meniscus
 from conftest import lattice
 
 
-def test_arrays_have_the_documented_shapes_and_types_and_are_the_callers(ball: Any) -> None:
+def test_arrays_have_the_documented_shapes_and_types_and_are_writable(ball: Any) -> None:
     mesh = meniscus.reconstruct(ball, velocity=ball, attributes={"heat": ball[:, 0], "pair": ball[:, :2]}, normals=True)
     count = len(mesh.vertices)
     assert mesh.vertices.shape == (count, 3) and mesh.vertices.dtype == np.float64
@@ -36,7 +36,7 @@ def test_arrays_have_the_documented_shapes_and_types_and_are_the_callers(ball: A
     assert meniscus.reconstruct(ball).normals is None
 
 
-def test_values_of_vertices_are_those_of_the_particles_near_them(ball: Any) -> None:
+def test_vertex_values_are_close_to_those_of_nearby_particles(ball: Any) -> None:
     mesh = meniscus.reconstruct(ball, attributes={"height": ball[:, 1]}, normals=True, spacing=1.0)
     assert np.abs(mesh.attributes["height"] - mesh.vertices[:, 1]).max() < 1.5
     outward = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
@@ -52,7 +52,7 @@ def test_arrays_outlive_their_mesh(ball: Any) -> None:
     assert np.array_equal(vertices, copy)
 
 
-def test_a_ball_measures_what_it_is_and_is_checked(ball: Any) -> None:
+def test_measures_and_checks_of_a_ball_are_correct(ball: Any) -> None:
     mesh = meniscus.reconstruct(ball, spacing=1.0)
     assert mesh.volume == pytest.approx(len(ball), rel=0.05)
     a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
@@ -65,7 +65,7 @@ def test_a_ball_measures_what_it_is_and_is_checked(ball: Any) -> None:
     assert not any([check.boundary_edges, check.misoriented_edges, check.pinched_vertices, check.degenerate_triangles])
 
 
-def test_the_report_says_how_it_was_made(ball: Any) -> None:
+def test_the_report_describes_the_reconstruction(ball: Any) -> None:
     report = meniscus.reconstruct(ball, threads=2).report
     assert report.spacing == pytest.approx(1.0, rel=0.1) and report.cell_size == pytest.approx(report.spacing / 2)
     assert report.spacing_source == "estimated from the particles" and report.indicator == "cloud" and report.smooth == 1.6
@@ -76,7 +76,7 @@ def test_the_report_says_how_it_was_made(ball: Any) -> None:
     assert (report.not_finite, report.outside) == (1, 2) and report.particles == len(ball)
 
 
-def test_a_warning_in_a_loop_is_shown_once_whatever_its_numbers(ball: Any) -> None:
+def test_a_warning_in_a_loop_is_shown_once_even_if_numbers_differ(ball: Any) -> None:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("default")
         reports = [meniscus.reconstruct(ball, spacing=spacing).report for spacing in (3.0, 3.1, 3.2)]
@@ -93,7 +93,7 @@ def test_a_warning_in_a_loop_is_shown_once_whatever_its_numbers(ball: Any) -> No
     assert len(always) == 2 * len(caught)
 
 
-def test_doubts_are_python_warnings(ball: Any) -> None:
+def test_library_warnings_become_python_warnings(ball: Any) -> None:
     with pytest.warns(meniscus.MeshWarning, match="too large: the particles are about"):
         mesh = meniscus.reconstruct(ball, spacing=3.0)
     assert any("too large" in warning for warning in mesh.report.warnings)
@@ -109,19 +109,19 @@ def test_doubts_are_python_warnings(ball: Any) -> None:
 
 
 @pytest.mark.parametrize("name", ["velocity", "v"])
-def test_an_attribute_with_the_name_of_the_velocity_is_kept_whatever_its_shape(name: str, ball: Any) -> None:
-    asked = {"attributes": {name: ball[:, :2].copy()}, "spacing": 1.0}
-    for mesh in meniscus.reconstruct(ball, **asked), meniscus.Frame(ball, **asked).surface():
+def test_an_attribute_named_like_the_velocity_keeps_its_shape(name: str, ball: Any) -> None:
+    keywords = {"attributes": {name: ball[:, :2].copy()}, "spacing": 1.0}
+    for mesh in meniscus.reconstruct(ball, **keywords), meniscus.Frame(ball, **keywords).surface():
         assert {known: values.shape for known, values in mesh.attributes.items()} == {name: (len(mesh.vertices), 2)}
     velocity = meniscus.reconstruct(ball, attributes={name: ball}, spacing=1.0)
     assert list(velocity.attributes) == ["velocity"]
     live = meniscus.Simulation(spacing=1.0)
     live.frame(ball, attributes={"velocity": ball})
     with pytest.raises(meniscus.InputError, match=f"\"{name}\" was not named"):
-        live.frame(ball, attributes=asked["attributes"])
+        live.frame(ball, attributes=keywords["attributes"])
 
 
-def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_path: Path, ball: Any) -> None:
+def test_write_replaces_a_file_only_with_overwrite(tmp_path: Path, ball: Any) -> None:
     mesh = meniscus.reconstruct(ball)
     path = tmp_path / "mesh.ply"
     size = mesh.write(str(path))
@@ -140,7 +140,7 @@ def test_a_file_appears_whole_and_is_replaced_only_where_that_is_asked_for(tmp_p
     assert sorted(os.listdir(tmp_path)) == ["made", "mesh.ply"]
 
 
-def test_trimesh_and_meshio_take_it_as_it_is(ball: Any) -> None:
+def test_trimesh_and_meshio_accept_the_mesh_unchanged(ball: Any) -> None:
     trimesh, meshio = pytest.importorskip("trimesh"), pytest.importorskip("meshio")
     mesh = meniscus.reconstruct(ball, velocity=ball, normals=True)
     theirs = trimesh.Trimesh(**mesh.for_trimesh())
@@ -150,7 +150,7 @@ def test_trimesh_and_meshio_take_it_as_it_is(ball: Any) -> None:
     assert len(cells.cells[0].data) == len(mesh.triangles) and set(cells.point_data) == {"velocity", "normals"}
 
 
-def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
+def test_errors_about_numbers_name_the_keyword_or_the_value(ball: Any) -> None:
     for keywords, what in [
         ({"spacing": -1.0}, "^`spacing` .* -1"),
         ({"spacing": float("nan")}, "^`spacing` .* NaN"),
@@ -179,7 +179,7 @@ def test_numbers_out_of_range_say_what_and_where(ball: Any) -> None:
         assert isinstance(raised.value, ValueError) and isinstance(raised.value, meniscus.Error)
 
 
-def test_particles_that_have_no_surface_say_which_and_why(ball: Any) -> None:
+def test_errors_about_particles_say_which_and_why(ball: Any) -> None:
     bad = ball.copy()
     bad[7, 1] = np.inf
     with pytest.raises(ValueError, match="particle 7 has a coordinate that is not finite"):
@@ -198,7 +198,7 @@ def test_particles_that_have_no_surface_say_which_and_why(ball: Any) -> None:
         assert len(meniscus.Simulation(where="x>99", spacing=1.0).frame(ball).triangles) == 0
 
 
-def test_a_solid_that_covers_the_fluid_is_the_reason_for_an_empty_mesh(tmp_path: Path, ball: Any) -> None:
+def test_the_reason_for_an_empty_mesh_is_reported(tmp_path: Path, ball: Any) -> None:
     cover, keywords = tmp_path / "cover.ply", {"spacing": 1.0}
     meniscus.reconstruct(lattice(12.0), spacing=1.0).write(cover)
     with pytest.raises(meniscus.InputError, match="solids cover the fluid"):
@@ -209,7 +209,7 @@ def test_a_solid_that_covers_the_fluid_is_the_reason_for_an_empty_mesh(tmp_path:
         meniscus.reconstruct(lattice(2.0), spacing=1.0, cell_size=30.0)
 
 
-def test_files_that_are_not_there_or_damaged_are_file_errors(tmp_path: Path) -> None:
+def test_missing_and_damaged_files_are_file_errors(tmp_path: Path) -> None:
     missing = tmp_path / "none.bgeo"
     with pytest.raises(FileNotFoundError, match=r"none\.bgeo: No such file") as raised:
         meniscus.read_particles(missing)
@@ -228,13 +228,13 @@ def test_files_that_are_not_there_or_damaged_are_file_errors(tmp_path: Path) -> 
         meniscus.Frame.load(tmp_path / "none.mnf")
 
 
-def test_a_device_that_is_not_there_is_a_device_error(ball: Any) -> None:
+def test_a_missing_device_is_a_device_error(ball: Any) -> None:
     for device in "no device is called so", 4_000_000_000:
         with pytest.raises(meniscus.DeviceError, match=str(device)):
             meniscus.reconstruct(ball, backend="vulkan", device=device)
 
 
-def test_a_device_makes_the_same_bytes_as_the_processor(ball: Any) -> None:
+def test_a_device_gives_the_same_bytes_as_the_cpu(ball: Any) -> None:
     try:
         by_device = meniscus.reconstruct(ball, backend="vulkan", normals=True)
     except meniscus.DeviceError as error:
@@ -247,7 +247,7 @@ def test_a_device_makes_the_same_bytes_as_the_processor(ball: Any) -> None:
         assert getattr(mesh, name).tobytes() == getattr(by_device, name).tobytes()
 
 
-def test_a_device_has_no_part_in_a_kernel_method(ball: Any) -> None:
+def test_kernel_methods_reject_a_required_device(ball: Any) -> None:
     with pytest.raises(meniscus.InputError, match="kernel methods"):
         meniscus.reconstruct(ball, backend="vulkan", method="zhu-bridson")
     with pytest.raises(meniscus.InputError, match="kernel methods"):

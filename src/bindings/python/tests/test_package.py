@@ -35,7 +35,7 @@ def test_the_wheel_installs_the_program(program: list[str], dambreak: Path, tmp_
     assert run(*program, "check").returncode == 2
 
 
-def test_the_program_of_the_wheel_writes_the_bytes_of_the_program(program: object, dambreak: Path, tmp_path: Path) -> None:
+def test_the_wheels_program_writes_the_same_bytes_as_the_program(program: object, dambreak: Path, tmp_path: Path) -> None:
     assert callable(program)
     for name, command in [("ours.ply", lambda *words: run(*PROGRAMS[0], *words)), ("same.ply", program)]:
         command("reconstruct", dambreak / "ParticleData_Fluid_1.bgeo", "-o", tmp_path / name, "--cell=1")
@@ -60,7 +60,7 @@ def test_the_other_package_in_the_same_folder_is_named_with_its_version(site: Pa
 
 
 @pytest.mark.parametrize("other", ["__version__ = '0.2.0'\n", None], ids=["replaced", "removed"])
-def test_a_package_whose_files_the_other_one_replaced_or_removed_says_so(site: Path, other: str | None) -> None:
+def test_replaced_or_removed_files_give_an_error_with_the_remedy(site: Path, other: str | None) -> None:
     package = site / "meniscus" / "__init__.py"
     package.unlink() if other is None else package.write_text(other)
     for command in [["-m", "meniscus", "--version"], ["-c", "import meniscus.compat.pysplashsurf"]]:
@@ -69,7 +69,7 @@ def test_a_package_whose_files_the_other_one_replaced_or_removed_says_so(site: P
         assert done.returncode != 0 and "pip uninstall meniscus meniscus-surface" in done.stderr, done.stderr
 
 
-def test_the_wheel_holds_the_licences_of_the_library() -> None:
+def test_the_wheel_contains_the_licences_of_the_library() -> None:
     files = importlib.metadata.files("meniscus-surface") or []
     for name in "LICENSE-APACHE", "LICENSE-MIT":
         text = (ROOT / name).read_text()

@@ -96,9 +96,9 @@ def compare(folder: Path, program: Any, path: Path, options: dict[str, Any]) -> 
     program("reconstruct", path, "-o", folder / "theirs.ply", "-q", "--overwrite", *given)
     theirs = (folder / "theirs.ply").read_bytes()
     particles = meniscus.read_particles(path)
-    asked = {"spacing": particles.spacing, "particles_up": particles.up, **options}
+    keywords = {"spacing": particles.spacing, "particles_up": particles.up, **options}
     meshes = {
-        "arrays": meniscus.reconstruct(particles.positions, velocity=particles.velocity, **asked),
+        "arrays": meniscus.reconstruct(particles.positions, velocity=particles.velocity, **keywords),
         "file": meniscus.Frame.load(path, **options).surface(),
     }
     for by, mesh in meshes.items():
@@ -130,14 +130,14 @@ def test_every_width_of_numbers_gives_the_programs_bytes(tmp_path: Path, program
     assert np.array_equal(compare(tmp_path, program, packed, {"spacing": 1.0}).positions, positions)
 
 
-def test_numbers_without_a_head_give_the_programs_bytes(tmp_path: Path, program: Any) -> None:
+def test_files_without_a_header_give_the_programs_bytes(tmp_path: Path, program: Any) -> None:
     positions = lattice(6.0).astype("<f4")
     path = tmp_path / "water.xyz"
     path.write_bytes(positions.tobytes())
     assert np.array_equal(compare(tmp_path, program, path, {"spacing": 1.0}).positions, positions)
 
 
-def test_no_format_of_the_programs_is_left_out() -> None:
+def test_all_formats_of_the_program_are_tested() -> None:
     with pytest.raises(meniscus.InputError) as raised:
         meniscus.read_particles("water.abc")
     known = set(re.findall(r"\.(\w+)", str(raised.value).split("abc", 1)[1])) - {"gz", "xz", "zst"}
@@ -164,7 +164,7 @@ def test_particles_of_a_file_are_selected_by_their_attributes(tmp_path: Path, pr
         meniscus.read_particles(path, where="heat=1")
 
 
-def test_whole_numbers_of_files_are_integers(tmp_path: Path) -> None:
+def test_integers_in_files_stay_integers(tmp_path: Path) -> None:
     positions = lattice(6.0)
     numbers = np.arange(len(positions)) + 2**24
     dtypes = {"int16": "int32", "int32": "int32", "uint32": "uint32", "int64": "int64", "float64": "float32"}

@@ -21,7 +21,7 @@ def written(folder: Path, name: str, mesh: meniscus.Mesh) -> bytes:
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("extension", FORMATS)
-def test_all_formats_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, ball: Any, extension: str, dtype: str) -> None:
+def test_all_formats_have_the_programs_bytes(tmp_path: Path, program: Any, ball: Any, extension: str, dtype: str) -> None:
     positions = ball.astype(dtype)
     # Move float64 particles so far from the origin that float32 could not tell vertices apart.
     positions += 1e5 if dtype == "float64" else 0.0
@@ -34,7 +34,7 @@ def test_all_formats_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any
     assert ours == theirs
 
 
-def test_pieces_of_pvtp_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, ball: Any) -> None:
+def test_pieces_of_pvtp_have_the_programs_bytes(tmp_path: Path, program: Any, ball: Any) -> None:
     np.save(tmp_path / "in.npy", ball)
     for by in "ours", "theirs":
         (tmp_path / by).mkdir()
@@ -68,7 +68,7 @@ def option(name: str, value: Any) -> list[str]:
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=lambda options: ",".join(options))
-def test_options_mean_what_they_mean_to_the_program(tmp_path: Path, program: Any, ball: Any, options: dict[str, Any]) -> None:
+def test_keywords_have_the_same_effect_as_the_programs_options(tmp_path: Path, program: Any, ball: Any, options: dict[str, Any]) -> None:
     np.save(tmp_path / "in.npy", ball)
     given = [word for name, value in options.items() for word in option(name, value)]
     program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.ply", "-q", *given)
@@ -81,14 +81,14 @@ def test_options_mean_what_they_mean_to_the_program(tmp_path: Path, program: Any
     assert (plain != theirs) or only_how
 
 
-def test_compressed_glb_holds_the_bytes_of_the_programs(tmp_path: Path, program: Any, ball: Any) -> None:
+def test_compressed_glb_has_the_programs_bytes(tmp_path: Path, program: Any, ball: Any) -> None:
     np.save(tmp_path / "in.npy", ball)
     program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.glb", "-q", "--compress")
     ours = written(tmp_path, "ours.glb", meniscus.reconstruct(ball, compress=True))
     assert ours == (tmp_path / "theirs.glb").read_bytes()
 
 
-def test_attributes_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, ball: Any) -> None:
+def test_attributes_have_the_programs_bytes(tmp_path: Path, program: Any, ball: Any) -> None:
     values = {"heat": np.abs(ball[:, 0]).astype(np.float32), "velocity": ball.astype(np.float32)}
     np.savez(tmp_path / "in.npz", positions=ball, **values)
     program("reconstruct", tmp_path / "in.npz", "-o", tmp_path / "theirs.ply", "-q", "--attributes", "velocity,heat")
@@ -96,7 +96,7 @@ def test_attributes_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any,
     assert written(tmp_path, "ours.ply", mesh) == (tmp_path / "theirs.ply").read_bytes()
 
 
-def test_previews_hold_the_bytes_of_the_programs(tmp_path: Path, program: Any, ball: Any, dambreak: Path) -> None:
+def test_previews_have_the_programs_bytes(tmp_path: Path, program: Any, ball: Any, dambreak: Path) -> None:
     np.save(tmp_path / "in.npy", ball)
     program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.ply", "-q", "--preview")
     meniscus.reconstruct(ball).write(tmp_path / "ours.ply", preview=True)

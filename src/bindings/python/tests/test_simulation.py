@@ -21,7 +21,7 @@ def pool() -> Any:
     return points + rng.uniform(-0.2, 0.2, points.shape)
 
 
-def test_what_is_measured_once_is_kept_for_the_frames_that_follow(pool: Any) -> None:
+def test_later_frames_keep_the_cells_of_the_first_frame(pool: Any) -> None:
     simulation = meniscus.Simulation()
     assert not simulation.settled
     first = simulation.frame(pool)
@@ -33,7 +33,7 @@ def test_what_is_measured_once_is_kept_for_the_frames_that_follow(pool: Any) -> 
     assert meniscus.reconstruct(2.0 * pool).report.cell_size > 1.5 * first.report.cell_size
 
 
-def test_an_empty_frame_is_an_empty_mesh(pool: Any, tmp_path: Path) -> None:
+def test_an_empty_frame_gives_an_empty_mesh(pool: Any, tmp_path: Path) -> None:
     simulation = meniscus.Simulation(spacing=1.0, normals=True)
     for _ in range(2):
         mesh = simulation.frame(np.zeros((0, 3), np.float32), velocity=np.zeros((0, 3), np.float32))
@@ -44,7 +44,7 @@ def test_an_empty_frame_is_an_empty_mesh(pool: Any, tmp_path: Path) -> None:
         assert len(simulation.frame(pool).triangles) > 0
 
 
-def test_attributes_are_named_when_it_is_made(pool: Any) -> None:
+def test_attributes_must_be_named_in_the_constructor(pool: Any) -> None:
     simulation = meniscus.Simulation(spacing=1.0, attributes=["heat"])
     mesh = simulation.frame(pool, attributes={"heat": pool[:, 0]})
     assert set(mesh.attributes) == {"heat"}
@@ -74,7 +74,7 @@ def test_a_frame_that_fails_does_not_end_the_simulation(pool: Any) -> None:
     assert np.array_equal(simulation.frame(pool).vertices, good.vertices)
 
 
-def test_requests_are_refused_when_it_is_made(tmp_path: Path) -> None:
+def test_invalid_requests_are_errors(tmp_path: Path) -> None:
     for keywords in [{"spacing": -1.0}, {"sigma": 1.0}, {"start": 3}, {"resume": True}, {"format": "csv"}]:
         with pytest.raises(meniscus.InputError):
             meniscus.Simulation(**keywords)  # type: ignore[arg-type]
@@ -88,7 +88,7 @@ def test_requests_are_refused_when_it_is_made(tmp_path: Path) -> None:
         meniscus.Simulation().run()
 
 
-def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dambreak: Path) -> None:
+def test_converted_files_equal_the_programs_files(tmp_path: Path, program: Any, dambreak: Path) -> None:
     inputs = dambreak / "ParticleData_Fluid_{}.bgeo"
     program("reconstruct", inputs, "-o", tmp_path / "theirs" / "{:03}.ply", "-q", "--normals")
     events: list[meniscus.Event] = []
@@ -112,13 +112,13 @@ def test_files_become_the_files_of_the_program(tmp_path: Path, program: Any, dam
     assert meniscus.Simulation(inputs, tmp_path / "plan" / "{}.ply").plan() == [1, 10, 20]
 
 
-def test_choices_of_frames_and_files_one_by_one(tmp_path: Path, dambreak: Path) -> None:
+def test_start_and_end_select_from_a_list_of_files(tmp_path: Path, dambreak: Path) -> None:
     inputs = [dambreak / f"ParticleData_Fluid_{number}.bgeo" for number in (1, 10, 20)]
     (summary,) = meniscus.Simulation(inputs, tmp_path / "{}.ply", start=5, end=15).run()
     assert summary.made == 1 and (tmp_path / "10.ply").exists()
 
 
-def test_what_a_callback_raises_ends_a_conversion(tmp_path: Path, dambreak: Path) -> None:
+def test_an_exception_in_a_callback_cancels_a_conversion(tmp_path: Path, dambreak: Path) -> None:
     simulation = meniscus.Simulation(dambreak / "ParticleData_Fluid_{}.bgeo", tmp_path / "{}.ply")
 
     def stop(event: meniscus.Event) -> None:
@@ -132,7 +132,7 @@ def test_what_a_callback_raises_ends_a_conversion(tmp_path: Path, dambreak: Path
     assert summary.made == 3
 
 
-def test_frames_that_cannot_be_made_are_counted(tmp_path: Path, dambreak: Path) -> None:
+def test_failed_frames_are_counted(tmp_path: Path, dambreak: Path) -> None:
     for number in 1, 2:
         (tmp_path / f"in_{number}.xyz").write_bytes(lattice(6.0).astype("<f4").tobytes())
     (tmp_path / "in_3.xyz").write_bytes(b"12345")
@@ -167,7 +167,7 @@ def test_frames_that_do_not_exist_are_not_listed(inputs: Any, tmp_path: Path, mo
         meniscus.list_frames([])
 
 
-def test_frames_before_the_first_have_negative_numbers(tmp_path: Path) -> None:
+def test_frame_numbers_can_be_negative(tmp_path: Path) -> None:
     points = lattice(6.0).astype("<f4")
     for number in -3, -2, 1:
         (tmp_path / f"in_{number}.xyz").write_bytes(points.tobytes())

@@ -23,12 +23,12 @@ def stubtest(*arguments: Any, **keywords: Any) -> subprocess.CompletedProcess[st
     return subprocess.run(command, capture_output=True, text=True, check=False, **keywords)
 
 
-def test_the_stubs_are_those_of_the_module() -> None:
+def test_the_stubs_match_the_module() -> None:
     done = stubtest("meniscus", "--mypy-config-file", BINDINGS / "pyproject.toml")
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_stubs_of_another_signature_are_found_out(tmp_path: Path) -> None:
+def test_a_stub_with_a_wrong_signature_is_detected(tmp_path: Path) -> None:
     package = Path(meniscus.__file__).parent
     stub = (package / "_meniscus.pyi").read_text()
     changed = re.sub(r"overwrite: bool = False, ", "", stub, count=1)
@@ -42,7 +42,7 @@ def test_stubs_of_another_signature_are_found_out(tmp_path: Path) -> None:
     assert "Mesh.write" in done.stdout and "overwrite" in done.stdout, done.stdout + done.stderr
 
 
-def test_keywords_of_another_name_or_type_are_found_out(tmp_path: Path) -> None:
+def test_keywords_with_a_wrong_name_or_type_are_detected(tmp_path: Path) -> None:
     wrong = [
         'meniscus.reconstruct(points, spacng=1.0)',
         'meniscus.reconstruct(points, spacing="1")',

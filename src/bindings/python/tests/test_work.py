@@ -1,4 +1,4 @@
-"""Long calls run without the interpreter's lock, can be cancelled at any time, and leave nothing behind."""
+"""Long calls run without the interpreter's lock, can be cancelled at any time, and return their memory."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_progress_is_reported_on_the_callers_thread_stage_by_stage(ball: Any) ->
         assert shares[0] == 0.0 and shares[-1] == 1.0 and shares == sorted(shares)
 
 
-def test_what_a_callback_raises_ends_the_work(long: Any) -> None:
+def test_an_exception_in_a_callback_cancels_the_work(long: Any) -> None:
     # Measure CPU time, because other processes may slow down this one.
     begin = time.process_time()
     meniscus.reconstruct(**long)
@@ -61,7 +61,7 @@ def interruptible() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_ctrl_c_ends_the_work(long: Any) -> None:
+def test_ctrl_c_cancels_the_work(long: Any) -> None:
     begin = time.process_time()
     meniscus.reconstruct(**long)
     whole = time.process_time() - begin
@@ -78,7 +78,7 @@ def test_ctrl_c_ends_the_work(long: Any) -> None:
     assert time.process_time() - begin < 0.75 * whole
 
 
-def test_other_threads_go_on_meanwhile(long: Any) -> None:
+def test_other_threads_keep_running(long: Any) -> None:
     ticks = 0
     over = threading.Event()
 
@@ -99,7 +99,7 @@ def test_other_threads_go_on_meanwhile(long: Any) -> None:
     assert counted > seconds / 0.002 / 20
 
 
-def test_threads_work_side_by_side_and_one_simulation_is_one_threads(long: Any, ball: Any) -> None:
+def test_threads_can_share_the_module_but_not_a_simulation(long: Any, ball: Any) -> None:
     wanted = meniscus.reconstruct(ball).vertices
     results: list[Any] = []
     threads = [threading.Thread(target=lambda: results.append(meniscus.reconstruct(ball).vertices)) for _ in range(8)]
@@ -122,7 +122,7 @@ def test_threads_work_side_by_side_and_one_simulation_is_one_threads(long: Any, 
     assert errors > 0
 
 
-def test_an_array_that_changes_while_it_is_read_gives_some_mesh_or_an_exception() -> None:
+def test_an_array_that_changes_meanwhile_gives_a_mesh_or_an_exception() -> None:
     calm = lattice(8.0)
     positions = calm.copy()
     over = threading.Event()
@@ -175,7 +175,7 @@ print(before, resident(), len(meniscus.reconstruct(positions, spacing=1.0).trian
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_memory_is_given_back_after_each_call() -> None:
+def test_memory_is_returned_after_each_call() -> None:
     command = [sys.executable, "-W", "ignore", "-c", RESIDENT, "5000", "60"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     before, after, _ = map(float, done.stdout.split())
@@ -186,7 +186,7 @@ def test_memory_is_given_back_after_each_call() -> None:
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_child_that_is_forked_can_do_all_that_its_parent_did(ball: Any, tmp_path: Path) -> None:
+def test_calls_in_a_forked_child_give_the_parents_results(ball: Any, tmp_path: Path) -> None:
     # If a call in the child did not start its own threads, it would wait for threads that exist
     # only in the parent.
     mesh, csv = meniscus.reconstruct(ball), tmp_path / "in_1.csv"
@@ -217,7 +217,7 @@ def test_a_child_that_is_forked_can_do_all_that_its_parent_did(ball: Any, tmp_pa
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
-def test_a_child_that_is_forked_works_for_itself(ball: Any) -> None:
+def test_frames_and_simulations_cannot_be_used_in_a_forked_child(ball: Any) -> None:
     mesh, frame, simulation = meniscus.reconstruct(ball), meniscus.Frame(ball), meniscus.Simulation()
     simulation.frame(ball)
     child = os.fork()

@@ -3,7 +3,7 @@
 use hdf5_reader::group::Group;
 
 use crate::io::error::several_steps;
-use crate::io::h5::file::{H5File, checked, time_of};
+use crate::io::h5::file::{H5File, convert_error, time_of};
 use crate::io::h5::table::{H5Array, H5Table};
 use crate::io::{ReadFault, malformed};
 
@@ -38,10 +38,10 @@ impl FrameRows {
                 return Err(ReadFault::Unsupported(format!("there is no {step}")));
             }
         };
-        let steps = checked(root.group("Steps"))?;
+        let steps = convert_error(root.group("Steps"))?;
         let at = |name: &str| entry(file, &steps, name, step);
         let first = at("PartOffsets")?;
-        let (_, sets) = checked(steps.member_names())?;
+        let (_, sets) = convert_error(steps.member_names())?;
         let parts =
             if sets.iter().any(|set| set == "NumberOfParts") { at("NumberOfParts")? } else { 1 };
         let end = first.checked_add(parts).filter(|end| *end <= all);
@@ -79,7 +79,7 @@ impl FrameRows {
         if let Some(data) = sub_group(root, "PointData")? {
             let offsets = match self.step {
                 None => None,
-                Some(_) => sub_group(&checked(root.group("Steps"))?, "PointDataOffsets")?,
+                Some(_) => sub_group(&convert_error(root.group("Steps"))?, "PointDataOffsets")?,
             };
             for array in H5Array::all_of(&data)? {
                 let first = match (&offsets, self.step) {
@@ -96,7 +96,7 @@ impl FrameRows {
     /// The types of the cells of an UnstructuredGrid. `None` if the file does not contain them. A
     /// file may have fewer types than cells.
     pub fn cell_types(&self, file: &H5File, root: &Group) -> Result<Option<H5Array>, ReadFault> {
-        let arrays = [found(root, "Types")?, found(root, "NumberOfCells")?];
+        let arrays = [find_array(root, "Types")?, find_array(root, "NumberOfCells")?];
         let [Some(types), Some(_)] = arrays else { return Ok(None) };
         if types.rows == 0 {
             return Ok(None);
@@ -112,8 +112,8 @@ impl FrameRows {
     /// The row of the frame's first cell in the data sets of an UnstructuredGrid.
     fn first_cell(&self, file: &H5File, root: &Group) -> Result<u64, ReadFault> {
         let Some(step) = self.step else { return Ok(0) };
-        let steps = checked(root.group("Steps"))?;
-        if found(&steps, "CellOffsets")?.is_some() {
+        let steps = convert_error(root.group("Steps"))?;
+        if find_array(&steps, "CellOffsets")?.is_some() {
             return entry(file, &steps, "CellOffsets", step);
         }
         if self.parts[0] == 0 {
@@ -126,7 +126,8 @@ impl FrameRows {
 
     pub fn time(&self, file: &H5File, root: &Group) -> Result<Option<f64>, ReadFault> {
         let Some(step) = self.step else { return Ok(time_of(root)) };
-        let values = H5Array::named(&checked(root.group("Steps"))?, "Values")?.part(step, 1)?;
+        let values =
+            H5Array::named(&convert_error(root.group("Steps"))?, "Values")?.part(step, 1)?;
         values.check_small(file)?;
         Ok(values.doubles([0, 1])?.first().copied().filter(|time| time.is_finite()))
     }
@@ -139,18 +140,18 @@ pub(super) fn sum(counts: &[u64]) -> Result<u64, ReadFault> {
 
 /// The array `name` of a group. `None` if it does not exist, contains no numbers, or has several
 /// numbers per row.
-pub(super) fn found(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
-    let (_, sets) = checked(group.member_names())?;
+pub(super) fn find_array(group: &Group, name: &str) -> Result<Option<H5Array>, ReadFault> {
+    let (_, sets) = convert_error(group.member_names())?;
     if !sets.iter().any(|set| set == name) {
         return Ok(None);
     }
-    Ok(H5Array::new(checked(group.dataset(name))?).filter(|array| array.components == 1))
+    Ok(H5Array::new(convert_error(group.dataset(name))?).filter(|array| array.components == 1))
 }
 
 pub(super) fn sub_group(root: &Group, name: &str) -> Result<Option<Group>, ReadFault> {
-    let (groups, _) = checked(root.member_names())?;
+    let (groups, _) = convert_error(root.member_names())?;
     let there = groups.iter().any(|group| group == name);
-    there.then(|| checked(root.group(name))).transpose()
+    there.then(|| convert_error(root.group(name))).transpose()
 }
 
 pub(super) fn integers(file: &H5File, group: &Group, name: &str) -> Result<Vec<i64>, ReadFault> {

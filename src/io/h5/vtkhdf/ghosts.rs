@@ -11,12 +11,12 @@ use hdf5_reader::group::Group;
 
 use crate::io::cell_types::VERTEX;
 use crate::io::ghosts::{VertexCells, VertexPoints, append, is_flag};
-use crate::io::h5::file::{H5File, checked};
+use crate::io::h5::file::{H5File, convert_error};
 use crate::io::h5::table::{H5Array, RowWindows};
 use crate::io::wanted::GHOSTS;
 use crate::io::{ReadFault, UnreadPart, malformed};
 
-use super::frame::{FrameRows, count, entries, entry, found, sub_group, sum};
+use super::frame::{FrameRows, count, entries, entry, find_array, sub_group, sum};
 
 /// The arrangement of the cells of a data set.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -36,7 +36,7 @@ pub(super) fn other_cell_data(root: &Group) -> Result<Vec<UnreadPart>, ReadFault
 }
 
 /// Ranges of the points that are not ghosts. `None` if all points are kept.
-pub(super) fn left(
+pub(super) fn non_ghost_points(
     file: &H5File,
     root: &Group,
     frame: &FrameRows,
@@ -45,7 +45,7 @@ pub(super) fn left(
     let Some(data) = sub_group(root, "CellData")? else { return Ok(None) };
     let mut flags = Vec::new();
     for name in GHOSTS {
-        let array = found(&data, name)?;
+        let array = find_array(&data, name)?;
         flags.extend(array.filter(|array| is_flag(name, array.components, array.scalar)));
     }
     let (group, lines) = match cells {
@@ -53,8 +53,9 @@ pub(super) fn left(
         CellLayout::Typed => (Some(root.clone()), None),
     };
     let (Some(group), false) = (group, flags.is_empty()) else { return Ok(None) };
-    let counts = [found(&group, "NumberOfCells")?, found(&group, "NumberOfConnectivityIds")?];
-    let arrays = [found(&group, "Offsets")?, found(&group, "Connectivity")?];
+    let counts =
+        [find_array(&group, "NumberOfCells")?, find_array(&group, "NumberOfConnectivityIds")?];
+    let arrays = [find_array(&group, "Offsets")?, find_array(&group, "Connectivity")?];
     let ([Some(_), Some(_)], [Some(ends), Some(corners)]) = (counts, arrays) else {
         return Ok(None);
     };
@@ -82,7 +83,7 @@ pub(super) fn left(
 
     let first = FirstCells::of(file, root, frame, cells)?;
     let end = first.cell.saturating_add(first.parts_before(file, &group, frame, cells)?);
-    let types = if cells == CellLayout::Typed { found(&group, "Types")? } else { None };
+    let types = if cells == CellLayout::Typed { find_array(&group, "Types")? } else { None };
     let mut arrays = Arrays {
         ends: NumberReader::new(ends, end)?,
         types: types.map(|types| NumberReader::new(types, first.cell)).transpose()?,
@@ -93,7 +94,7 @@ pub(super) fn left(
         let row = first.row_of_data(file, root, frame, &array.name)?;
         arrays.flags.push(NumberReader::new(array, row)?);
     }
-    let (mut left, mut base) = (Vec::new(), 0);
+    let (mut non_ghosts, mut base) = (Vec::new(), 0);
     for (index, &points) in points.iter().enumerate() {
         let part = PartitionCounts {
             points: points as usize,
@@ -101,24 +102,22 @@ pub(super) fn left(
             ids: ids[index],
             others: others[index],
         };
-        let kept =
-            arrays.left(&part).map_err(|fault| in_part(frame.parts[0] + index as u64, fault))?;
-        match kept {
-            Some(kept) => kept
+        let number = frame.parts[0] + index as u64;
+        match arrays.non_ghost_points(&part).map_err(|fault| in_part(number, fault))? {
+            Some(ranges) => ranges
                 .into_iter()
-                .for_each(|kept| append(&mut left, base + kept.start..base + kept.end)),
-            None => append(&mut left, base..base + part.points),
+                .for_each(|range| append(&mut non_ghosts, base + range.start..base + range.end)),
+            None => append(&mut non_ghosts, base..base + part.points),
         }
         base += part.points;
     }
-    let all_taken = |flags: &&NumberReader| frame.step.is_some() || flags.at == flags.array.rows;
-    if let Some(NumberReader { array, at, .. }) =
-        arrays.flags.iter().find(|flags| !all_taken(flags))
+    let all_read = |flags: &&NumberReader| frame.step.is_some() || flags.at == flags.array.rows;
+    if let Some(NumberReader { array, at, .. }) = arrays.flags.iter().find(|flags| !all_read(flags))
     {
         let what = format!("array {} must have one number for each of {at} cells", array.name);
         return Err(malformed(0, what));
     }
-    Ok(Some(left))
+    Ok(Some(non_ghosts))
 }
 
 /// Adds the number of the partition to an error.
@@ -131,7 +130,7 @@ fn in_part(part: u64, fault: ReadFault) -> ReadFault {
     }
 }
 
-/// The places of the first cell of a frame in the arrays.
+/// The rows at which the first cell of a frame is stored in the arrays.
 struct FirstCells {
     cell: u64,
     corner: u64,
@@ -147,7 +146,7 @@ impl FirstCells {
         cells: CellLayout,
     ) -> Result<Self, ReadFault> {
         let Some(step) = frame.step else { return Ok(Self { cell: 0, corner: 0, data: 0 }) };
-        let steps = checked(root.group("Steps"))?;
+        let steps = convert_error(root.group("Steps"))?;
         let kinds = if cells == CellLayout::ByKind { 4 } else { 1 };
         let of_kinds = |name: &str| entries(file, &steps, name, step, kinds);
         let (cells, corners) = (of_kinds("CellOffsets")?, of_kinds("ConnectivityIdOffsets")?);
@@ -175,12 +174,12 @@ impl FirstCells {
         // Some steps share cells or have none. Counts only the partitions that contain the cells
         // before this frame.
         let mut cells = 0;
-        let makes_up = |own: &&u64| {
+        let is_needed = |own: &&u64| {
             let needed = cells < self.cell;
             cells += **own;
             needed
         };
-        Ok(before.iter().take_while(makes_up).count() as u64)
+        Ok(before.iter().take_while(is_needed).count() as u64)
     }
 
     /// The row of the first cell's data in the array `name`.
@@ -192,10 +191,11 @@ impl FirstCells {
         name: &str,
     ) -> Result<u64, ReadFault> {
         let Some(step) = frame.step else { return Ok(0) };
-        let Some(offsets) = sub_group(&checked(root.group("Steps"))?, "CellDataOffsets")? else {
+        let Some(offsets) = sub_group(&convert_error(root.group("Steps"))?, "CellDataOffsets")?
+        else {
             return Ok(self.data);
         };
-        if found(&offsets, name)?.is_some() {
+        if find_array(&offsets, name)?.is_some() {
             entry(file, &offsets, name, step)
         } else {
             Ok(self.data)
@@ -224,7 +224,10 @@ struct Arrays {
 impl Arrays {
     /// Ranges of the points of the next partition that are not ghosts. `None` if all points are
     /// kept.
-    fn left(&mut self, part: &PartitionCounts) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
+    fn non_ghost_points(
+        &mut self,
+        part: &PartitionCounts,
+    ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
         let &PartitionCounts { points, vertices: cells, ids, others } = part;
         let mut all_vertices = cells > 0 && others == 0;
         if all_vertices {
@@ -254,7 +257,7 @@ impl Arrays {
         }
         let mut corners = VertexPoints::new(&vertices, points);
         self.corners.each(ids, |cell, point| corners.take(cell, point))?;
-        corners.left().map(Some).map_err(wrong)
+        corners.kept_ranges().map(Some).map_err(wrong)
     }
 }
 
@@ -265,8 +268,8 @@ struct NumberReader {
     /// The row that is read next.
     at: u64,
     /// The rows that are in memory.
-    held: Range<u64>,
-    /// The numbers in the rows `held`.
+    buffered: Range<u64>,
+    /// The numbers in the rows `buffered`.
     numbers: Vec<i64>,
 }
 
@@ -276,7 +279,7 @@ impl NumberReader {
         let first = first.min(array.rows);
         let rows = array.rows - first;
         let array = array.part(first, rows)?;
-        Ok(Self { windows: array.windows(), array, at: 0, held: 0..0, numbers: Vec::new() })
+        Ok(Self { windows: array.windows(), array, at: 0, buffered: 0..0, numbers: Vec::new() })
     }
 
     fn skip(&mut self, rows: u64) {
@@ -288,18 +291,20 @@ impl NumberReader {
         let H5Array { name, rows: all, .. } = &self.array;
         let end = self.at.saturating_add(rows);
         if end > *all {
-            let left = all.saturating_sub(self.at);
-            return Err(malformed(0, format!("{name} has {left} more numbers, expected {rows}")));
+            let remaining = all.saturating_sub(self.at);
+            let what =
+                format!("{name} has only {remaining} of the {rows} numbers of this partition");
+            return Err(malformed(0, what));
         }
         let mut taken = 0;
         while self.at < end {
-            if !self.held.contains(&self.at) {
-                let [start, stop] = self.windows.rows(self.windows.holding(self.at), *all);
+            if !self.buffered.contains(&self.at) {
+                let [start, stop] = self.windows.rows(self.windows.containing(self.at), *all);
                 self.numbers = self.array.some_integers([start, stop])?;
-                self.held = start..stop;
+                self.buffered = start..stop;
             }
-            let stop = end.min(self.held.end);
-            for row in self.at - self.held.start..stop - self.held.start {
+            let stop = end.min(self.buffered.end);
+            for row in self.at - self.buffered.start..stop - self.buffered.start {
                 take(taken, self.numbers[row as usize]);
                 taken += 1;
             }

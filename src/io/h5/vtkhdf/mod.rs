@@ -16,7 +16,7 @@ use crate::io::{ParticleFile, ReadFault, malformed, vtp};
 use crate::particles::Particles;
 use crate::surface::mesh::Mesh;
 
-use super::file::{H5File, checked};
+use super::file::{H5File, convert_error};
 use super::table::H5Array;
 
 use frame::{FrameRows, count, integers, step_count, sub_group, sum};
@@ -27,9 +27,9 @@ pub const ROOT: &str = "VTKHDF";
 const POLY_DATA: &str = "PolyData";
 
 /// The group that contains all data, and the type of the data set.
-fn opened(file: &H5File) -> Result<(Group, String), ReadFault> {
+fn root_and_type(file: &H5File) -> Result<(Group, String), ReadFault> {
     let root = file.group(ROOT)?;
-    let kind = checked(root.attribute("Type").and_then(|kind| kind.read_string()))?;
+    let kind = convert_error(root.attribute("Type").and_then(|kind| kind.read_string()))?;
     match kind.as_str() {
         POLY_DATA | "UnstructuredGrid" => Ok((root, kind)),
         _ => {
@@ -41,7 +41,7 @@ fn opened(file: &H5File) -> Result<(Group, String), ReadFault> {
 
 /// The numbers of the steps. Empty for a file with a single frame.
 pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
-    let (root, _) = opened(file)?;
+    let (root, _) = root_and_type(file)?;
     let steps = step_count(&root)?.unwrap_or(0);
     if steps.saturating_mul(8) > file.limit {
         return Err(ReadFault::Compression(format!(
@@ -52,14 +52,15 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// Reads the points as particles. Returns [`ReadFault::Mesh`] if the frame of an UnstructuredGrid
-/// has a cell with an area or a volume, or if PolyData has polygons or strips in any frame. A point
-/// is left out if all of its vertex cells are flagged as copies or hidden.
+/// has a cell with an area or a volume, or if PolyData has polygons or strips in any frame. In a
+/// partition that has only vertex cells, a point is left out if all of its cells are flagged as
+/// copies or hidden.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
     wanted: WantedAttributes,
 ) -> Result<ParticleFile, ReadFault> {
-    let (root, kind) = opened(&file)?;
+    let (root, kind) = root_and_type(&file)?;
     refuse_mesh(if kind == POLY_DATA { faces(&file, &root)? } else { 0 })?;
     let frame = FrameRows::of(&file, &root, step)?;
     if kind != POLY_DATA
@@ -73,12 +74,12 @@ pub fn read_particles(
         true => (CellLayout::ByKind, "VTKHDF PolyData"),
         false => (CellLayout::Typed, "VTKHDF UnstructuredGrid"),
     };
-    let left = ghosts::left(&file, &root, &frame, cells)?;
+    let non_ghosts = ghosts::non_ghost_points(&file, &root, &frame, cells)?;
     let mut left_out = ghosts::other_cell_data(&root)?;
     drop(root);
     let file = table.read(file, format, wanted)?;
     left_out.extend(file.left_out);
-    Ok(ParticleFile { time, left_out, ..file }.with_points(left))
+    Ok(ParticleFile { time, left_out, ..file }.with_points(non_ghosts))
 }
 
 fn refuse_mesh(faces: u64) -> Result<(), ReadFault> {
@@ -109,7 +110,7 @@ fn faces(file: &H5File, root: &Group) -> Result<u64, ReadFault> {
 
 /// Whether the file contains a mesh: a cell has an area or a volume, or PolyData has no points.
 pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
-    let (root, kind) = opened(file)?;
+    let (root, kind) = root_and_type(file)?;
     if kind != POLY_DATA {
         let types = FrameRows::all(&root)?.cell_types(file, &root)?;
         let Some(types) = types else { return Ok(false) };
@@ -128,7 +129,7 @@ pub fn has_faces(file: &H5File) -> Result<bool, ReadFault> {
 
 /// Reads the polygons of all partitions as one mesh.
 pub fn read_mesh(file: H5File) -> Result<Mesh, ReadFault> {
-    let (root, kind) = opened(&file)?;
+    let (root, kind) = root_and_type(&file)?;
     if kind != POLY_DATA {
         return Err(ReadFault::Unsupported(format!(
             "the file contains an {kind}, but meshes must be {POLY_DATA}"
@@ -186,7 +187,10 @@ fn add_polygons(
             let polygon = range.and_then(|(start, end)| own.get(start..end)).ok_or_else(|| {
                 malformed(
                     0,
-                    format!("polygon {face} has no corners from {} to {}", pair[0], pair[1]),
+                    format!(
+                        "the range of corners {} to {} of polygon {face} is invalid",
+                        pair[0], pair[1]
+                    ),
                 )
             })?;
             if let Some(wrong) =
@@ -194,7 +198,9 @@ fn add_polygons(
             {
                 return Err(malformed(
                     0,
-                    format!("polygon {face} refers to point {wrong}, but there are {points}"),
+                    format!(
+                        "polygon {face} refers to point {wrong}, but there are {points} points"
+                    ),
                 ));
             }
             let moved: Vec<i64> = polygon.iter().map(|corner| corner + base).collect();

@@ -139,15 +139,14 @@ impl SchemaReader<'_, '_, '_> {
             }
             Ok(())
         })?;
-        let given = tuples.as_ref().map(|(components, _)| *components);
-        let Some(components) = components.or(given) else { return Ok(None) };
+        let tuple_components = tuples.as_ref().map(|(components, _)| *components);
+        let Some(components) = components.or(tuple_components) else { return Ok(None) };
         if !(1..=MOST_COMPONENTS).contains(&components) {
             return Ok(None);
         }
         let fault = |what: String| self.json.fault(format!("attribute {name}: {what}"));
         let wrong_count = |found: u64, expected: Option<u64>| {
-            let expected =
-                expected.map_or("more than can exist".to_owned(), |count| count.to_string());
+            let expected = expected.map_or("2^64 or more".to_owned(), |count| count.to_string());
             fault(format!("it has {found} numbers for {points} points, expected {expected}"))
         };
         let all = points.checked_mul(components);
@@ -254,10 +253,10 @@ impl SchemaReader<'_, '_, '_> {
         let mut groups = Vec::new();
         loop {
             let (mut count, mut bits) = (0_u64, Vec::new());
-            let left = MOST_FLAGS - self.flag_words;
+            let remaining_words = MOST_FLAGS - self.flag_words;
             let mut take = |number: JsonNumber| {
                 let word = (count / 64) as usize;
-                if word < left {
+                if word < remaining_words {
                     if word == bits.len() {
                         bits.push(0);
                     }

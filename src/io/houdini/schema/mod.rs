@@ -191,6 +191,7 @@ struct SchemaReader<'j, 'v, 'u> {
     json: &'j mut dyn Json,
     document: (ByteView<'v>, Endian),
     gathered: &'j mut UnpackBuffer<'u>,
+    /// Number of 64-bit words of page flags that were read for all attributes so far.
     flag_words: usize,
 }
 
@@ -450,11 +451,11 @@ impl SchemaReader<'_, '_, '_> {
     fn primitives(&mut self, head: &mut GeometryHead) -> Result<(), ReadFault> {
         let vertices = head.vertex_points.map_or(0, |run| run.numbers.count);
         self.pairs("the primitives", |reader| {
-            let (mut kind, mut of_run) = (None, None);
+            let (mut kind, mut run_kind) = (None, None);
             reader.entries("a primitive's kind", |reader, key| {
                 match key {
                     "type" => kind = Some(reader.text("a primitive's type")?),
-                    "runtype" => of_run = Some(reader.text("a primitive's type")?),
+                    "runtype" => run_kind = Some(reader.text("a primitive's type")?),
                     _ => reader.skip_value()?,
                 }
                 Ok(())
@@ -462,8 +463,8 @@ impl SchemaReader<'_, '_, '_> {
             let kind =
                 kind.ok_or_else(|| reader.json.fault("a primitive has no type".to_owned()))?;
             let mut count = 1;
-            let (kind, is_run) = match of_run {
-                Some(of_run) if &*kind == "run" => (of_run, true),
+            let (kind, is_run) = match run_kind {
+                Some(run_kind) if &*kind == "run" => (run_kind, true),
                 _ => (kind, false),
             };
             let is_particles = &*kind == "Part";

@@ -10,8 +10,11 @@ from .sequence import Timing
 
 
 @dataclass(frozen=True)
-class Reading:
-    """Maps scene frames to a stage's time codes: `at_start` at frame `start`, plus `each` per frame."""
+class TimeMapping:
+    """Maps scene frames to the time codes of a stage.
+
+    The time code is `at_start` at frame `start`, and increases by `each` per scene frame.
+    """
 
     start: int
     at_start: float
@@ -28,14 +31,14 @@ class Reading:
         return f"{self.at_start:.9g} + ({self.each:.9g}) * (frame - {self.start})"
 
 
-def reading(listing: Path, timing: Timing) -> Reading:
-    """Reads the frames' time codes from the JSON file of a conversion, and maps scene frames to time codes."""
+def read_time_mapping(listing: Path, timing: Timing) -> TimeMapping:
+    """Reads the time codes in a conversion's JSON file, and returns how scene frames map to them."""
     listed = json.loads(listing.read_text())
     first, last = listed["frames"][0], listed["frames"][-1]
     numbers = last["frame"] - first["frame"]
     codes = (last["time_code"] - first["time_code"]) / numbers if numbers else 1.0
     at_start = first["time_code"] + codes * (timing.first - first["frame"])
-    return Reading(timing.start, at_start, codes * timing.step)
+    return TimeMapping(timing.start, at_start, codes * timing.step)
 
 
 def volume_offset(timing: Timing, first: int, last: int) -> str:

@@ -65,10 +65,10 @@ class FromFile:
         return self.path, stamp, None if self.is_packed else self.sampling
 
     def sample(self) -> meniscus.Frame:
-        return meniscus.Frame.load(self.path, **_given(self.asked))
+        return meniscus.Frame.load(self.path, **_given(self.used_sampling))
 
     @property
-    def asked(self) -> Sampling:
+    def used_sampling(self) -> Sampling:
         """The settings of the sampling; no values are set for a packed frame, which accepts none."""
         return Sampling() if self.is_packed else self.sampling
 
@@ -91,13 +91,13 @@ class FromPoints:
     @property
     def key(self) -> Hashable:
         """A key for the cache: sources with different samples have different keys."""
-        return self.digest, len(self.positions), self._asked
+        return self.digest, len(self.positions), self._used_sampling
 
     def sample(self) -> meniscus.Frame:
-        return meniscus.Frame(self.positions, velocity=self.velocity, **_given(self._asked))
+        return meniscus.Frame(self.positions, velocity=self.velocity, **_given(self._used_sampling))
 
     @property
-    def _asked(self) -> Sampling:
+    def _used_sampling(self) -> Sampling:
         """The settings of the sampling, without settings that apply only to files."""
         return replace(self.sampling, attributes=None, where=None)
 
@@ -125,7 +125,7 @@ class Request:
 
 
 class Maker:
-    """Computes surfaces. Keeps the last sampled frame, so that other filters need no resampling."""
+    """Computes surfaces. Keeps the last sampled frame, so that changed filters do not require sampling again."""
 
     def __init__(self) -> None:
         self._key: Hashable = None

@@ -73,7 +73,6 @@ class Solids:
 def unique(names: Iterable[str]) -> list[str]:
     """Converts names to distinct file names that consist of letters, digits and dashes."""
     safe = ["".join(c if c.isascii() and c.isalnum() else "-" for c in name) for name in names]
-    # On some systems, names that differ only in case refer to the same file, so each name gets a
-    # number.
-    # The name must not end with digits, which would look like a frame number.
+    # Each name gets a number, because on some systems names that differ only in case refer to the
+    # same file. The name must not end with digits, which would look like a frame number.
     return [f"{name}-{number}-solid" for number, name in enumerate(safe)]

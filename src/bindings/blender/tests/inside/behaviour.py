@@ -30,7 +30,7 @@ def check(sentence: Callable[[], None]) -> Callable[[], None]:
     return sentence
 
 
-def count_making() -> None:
+def record_computed_surfaces() -> None:
     """Replaces `Maker.make`, so that it appends the source of every computed surface to `made`."""
     make = extension.surfaces.request.Maker.make
 
@@ -50,8 +50,8 @@ def dam(path: str = FLUID) -> bpy.types.Object:
 
 
 def expected(number: int, **keywords: Any) -> Any:
-    asked = {"spacing": 0.05, "cell": 1.0, "smooth": 1.6} | keywords
-    return meniscus.Frame.load(DAM / f"ParticleData_Fluid_{number}.bgeo", **asked).surface()
+    keywords = {"spacing": 0.05, "cell": 1.0, "smooth": 1.6} | keywords
+    return meniscus.Frame.load(DAM / f"ParticleData_Fluid_{number}.bgeo", **keywords).surface()
 
 
 def shows(mesh: bpy.types.Mesh, library: Any) -> bool:
@@ -59,7 +59,7 @@ def shows(mesh: bpy.types.Mesh, library: Any) -> bool:
 
 
 @check
-def a_new_surface_is_the_librarys_and_stands_upright() -> None:
+def a_new_surface_equals_the_librarys_and_is_upright() -> None:
     shown = dam()
     settings = shown.data.meniscus
     assert shows(shown.data, expected(1)) and abs(settings.spacing - 0.05) < 1e-7 and settings.first == 1
@@ -71,7 +71,7 @@ def a_new_surface_is_the_librarys_and_stands_upright() -> None:
 
 
 @check
-def a_second_surface_of_the_same_files_stands_upright_too() -> None:
+def a_second_surface_of_the_same_files_is_also_upright() -> None:
     first = dam()
     bpy.ops.meniscus.add_files(filepath=FLUID)
     second = bpy.context.object
@@ -80,7 +80,7 @@ def a_second_surface_of_the_same_files_stands_upright_too() -> None:
 
 
 @check
-def a_sequence_that_starts_without_particles_stands_upright() -> None:
+def a_sequence_that_starts_without_particles_is_upright() -> None:
     folder = options.folder / "inflow"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -107,7 +107,7 @@ def the_spacing_of_an_opened_file_is_measured() -> None:
 
 
 @check
-def frames_are_made_once_and_shown_by_their_numbers() -> None:
+def frames_are_computed_once_and_shown_by_their_numbers() -> None:
     shown, scene = dam(), bpy.context.scene
     for frame, number in [(10, 10), (20, 20), (15, 10), (25, 20), (1, 1), (10, 10), (20, 20)]:
         scene.frame_set(frame)
@@ -118,7 +118,7 @@ def frames_are_made_once_and_shown_by_their_numbers() -> None:
 
 
 @check
-def a_frame_is_made_again_where_its_file_has_changed() -> None:
+def a_frame_is_recomputed_if_its_file_has_changed() -> None:
     folder = options.folder / "changing"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -141,7 +141,7 @@ def a_frame_is_made_again_where_its_file_has_changed() -> None:
 
 
 @check
-def other_settings_make_another_surface_and_the_same_none() -> None:
+def changed_settings_give_a_new_surface_and_equal_ones_a_cached_one() -> None:
     shown = dam()
     bpy.context.scene.frame_set(20)
     settings = shown.data.meniscus
@@ -174,7 +174,7 @@ def other_settings_make_another_surface_and_the_same_none() -> None:
 
 
 @check
-def undo_brings_the_surface_back() -> None:
+def undo_restores_the_surface() -> None:
     shown, scene = dam(), bpy.context.scene
     scene.frame_set(20)
     name = shown.name
@@ -193,7 +193,7 @@ def undo_brings_the_surface_back() -> None:
 
 
 @check
-def a_file_that_is_saved_and_opened_again_goes_on() -> None:
+def a_reopened_file_shows_and_updates_its_surface() -> None:
     shown, scene = dam(), bpy.context.scene
     scene.frame_set(20)
     shown.data.meniscus.smooth = 2.0
@@ -205,7 +205,7 @@ def a_file_that_is_saved_and_opened_again_goes_on() -> None:
     bpy.ops.wm.open_mainfile(filepath=blend)
     shown = bpy.data.objects[name]
     assert shows(shown.data, expected(20, smooth=2.0))
-    assert made == [], "nothing had changed"
+    assert made == [], "an unchanged surface must not be recomputed"
     bpy.context.scene.frame_set(10)
     assert shows(shown.data, expected(10, smooth=2.0))
 
@@ -246,11 +246,11 @@ def a_saved_surface_stays_while_its_files_are_missing() -> None:
     away.rename(folder)
     shown = opened()
     assert not live.status_of(shown.data).error and np.array_equal(positions(shown.data), before)
-    assert made == [], "nothing had changed"
+    assert made == [], "an unchanged surface must not be recomputed"
 
 
 @check
-def packed_frames_take_filters_and_no_particles() -> None:
+def packed_frames_can_be_filtered_and_converted() -> None:
     folder = options.folder / "packed"
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -403,7 +403,7 @@ def the_fluid_ends_at_the_objects_of_a_collection() -> None:
     cube.hide_viewport = cube.hide_render = True
     scene.frame_set(20)
     assert touches(shown, cube, 0.2), live.status_of(shown.data)
-    prepared_for_pictures(shown)
+    prepare_for_rendering(shown)
     scene.render.filepath = str(options.folder / "touching.png")
     drawn: list[bool] = []
     bpy.app.handlers.render_post.append(lambda *_: drawn.append(touches(shown, cube, 0.2)))
@@ -420,19 +420,19 @@ def the_fluid_ends_at_the_objects_of_a_collection() -> None:
 
 
 @check
-def what_is_wrong_is_a_sentence() -> None:
-    def refused(shown: bpy.types.Object, *words: str) -> None:
+def errors_are_one_line_messages() -> None:
+    def check_error(shown: bpy.types.Object, *words: str) -> None:
         error = live.status_of(shown.data).error
         assert all(word in error for word in words) and "\n" not in error and "Traceback" not in error, error
         assert sizes(shown.data) == (0, 0)
 
     shown = dam(str(options.folder / "nowhere" / "frame_1.bgeo"))
-    refused(shown, "nowhere")
+    check_error(shown, "nowhere")
     shown = dam()
     shown.data.meniscus.path = ""
-    refused(shown, "Choose the particle files")
+    check_error(shown, "Choose the particle files")
     shown.data.meniscus.path = str(DAM)
-    refused(shown, "several simulations")
+    check_error(shown, "several simulations")
     shown.data.meniscus.path = str(DAM / "ParticleData_Fluid_{}.bgeo")
     assert not live.status_of(shown.data).error and sizes(shown.data) != (0, 0)
     for spacing in (-1.0, 1e-12, 1e12, float("nan"), float("inf")):
@@ -453,16 +453,16 @@ def what_is_wrong_is_a_sentence() -> None:
     shown, scene = dam(str(folder / "pool_1.npy")), bpy.context.scene
     for frame, words in [(2, ("no particles",)), (3, ("pool_3.npy",)), (4, ("pool_4.npy", "5"))]:
         scene.frame_set(frame)
-        refused(shown, *words)
+        check_error(shown, *words)
     scene.frame_set(1)
     assert not live.status_of(shown.data).error and sizes(shown.data) != (0, 0)
     folder.joinpath("pool_1.npy").unlink()
     extension.live.reread(shown.data)
-    refused(shown)
+    check_error(shown)
 
 
 @check
-def an_edited_mesh_is_left_alone() -> None:
+def a_mesh_in_edit_mode_is_not_changed() -> None:
     shown = dam()
     bpy.ops.object.mode_set(mode="EDIT")
     bpy.context.scene.frame_set(20)
@@ -472,7 +472,7 @@ def an_edited_mesh_is_left_alone() -> None:
     assert shows(shown.data, expected(20)) and not live.status_of(shown.data).error
 
 
-def prepared_for_pictures(shown: bpy.types.Object) -> bpy.types.Scene:
+def prepare_for_rendering(shown: bpy.types.Object) -> bpy.types.Scene:
     scene = bpy.context.scene
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     camera.location, camera.rotation_euler = (-1.2, -9.0, 0.8), (np.pi / 2, 0.0, 0.0)
@@ -497,9 +497,9 @@ def picture_of(path: Path) -> Any:
 
 
 @check
-def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
+def renders_use_fine_cells_and_motion_blur() -> None:
     shown = dam()
-    scene = prepared_for_pictures(shown)
+    scene = prepare_for_rendering(shown)
     settings = shown.data.meniscus
     drawn: list[int] = []
     bpy.app.handlers.render_post.append(lambda *_: drawn.append(len(shown.data.polygons)))
@@ -516,7 +516,7 @@ def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
         pictures.append(picture_of(options.folder / f"blurred_{blurred}.png"))
     moved = np.abs(pictures[0] - pictures[1]).mean()
     print(f"    motion blur changes a pixel by {moved:.5f}")
-    assert moved > 1e-3, "no motion blur"
+    assert moved > 1e-3, "motion blur must change the picture"
     # Without velocities there is no motion blur, so the picture equals the sharp one.
     settings.attributes = "density"
     scene.render.filepath = str(options.folder / "still.png")
@@ -534,7 +534,7 @@ def renders_are_in_fine_cells_once_a_frame_and_moved_by_velocity() -> None:
 
 
 @check
-def vertices_are_rendered_in_fine_cells_too() -> None:
+def renders_of_vertices_use_fine_cells() -> None:
     scene = emptied()
     live._state.reset()
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=5, radius=1.0)
@@ -542,7 +542,7 @@ def vertices_are_rendered_in_fine_cells_too() -> None:
     bpy.ops.meniscus.add_object()
     shown = bpy.context.object
     shown.data.meniscus.spacing = 0.08
-    prepared_for_pictures(shown)
+    prepare_for_rendering(shown)
     coarse = sizes(shown.data)
     drawn: list[int] = []
     bpy.app.handlers.render_post.append(lambda *_: drawn.append(len(shown.data.polygons)))
@@ -571,7 +571,7 @@ def vertices_are_rendered_in_fine_cells_too() -> None:
 
 
 @check
-def a_conversion_takes_the_place_of_the_live_surface() -> None:
+def a_conversion_replaces_the_live_surface() -> None:
     for kind in ("MESHES", "VOLUMES"):
         shown, scene = dam(), bpy.context.scene
         settings, output = shown.data.meniscus, options.folder / "placed"
@@ -685,7 +685,7 @@ def a_conversion_is_played_as_a_sequence_cache() -> None:
 
 
 @check
-def the_extension_goes_without_a_trace() -> None:
+def unregistering_removes_handlers_and_properties() -> None:
     dam()
     before = sum(map(len, (getattr(bpy.app.handlers, name) for name in ("frame_change_pre", "frame_change_post", "undo_post", "render_init"))))
     extension.unregister()
@@ -698,7 +698,7 @@ def the_extension_goes_without_a_trace() -> None:
     assert shows(bpy.context.object.data, expected(20))
 
 
-count_making()
+record_computed_surfaces()
 failed = 0
 for sentence in checks:
     try:

@@ -1,4 +1,4 @@
-"""Pictures of frames by Cycles, on the CPU. Run by tools/bindings/blender pictures.
+"""Renders pictures of frames with Cycles, on the CPU. Run by tools/bindings/blender pictures.
 
 usage: pictures.py ZIP FOLDER PARTICLES...
 """

@@ -42,7 +42,7 @@ def cell_of(cell: float) -> None:
     settings.cell_viewport = cell
     numbers = [extension.surfaces.sequence.number_of(str(path)) for path in (first, second)]
     frames = [number - settings.first + settings.start for number in numbers]
-    asked = {"spacing": live.typed(settings.spacing), "cell": cell}
+    keywords = {"spacing": live.typed(settings.spacing), "cell": cell}
     bare = bpy.data.meshes.new("bare")
     other = bpy.data.objects.new("bare", bare)
     scene.collection.objects.link(other)
@@ -59,7 +59,7 @@ def cell_of(cell: float) -> None:
         made: list[meniscus.Mesh] = []
 
         def library() -> None:
-            mesh = meniscus.Frame.load(path, **asked).surface()
+            mesh = meniscus.Frame.load(path, **keywords).surface()
             mesh.vertices, mesh.triangles, mesh.attributes
             made.append(mesh)
 
@@ -84,7 +84,7 @@ def cell_of(cell: float) -> None:
 def memory() -> None:
     scene = emptied()
     live._state.reset()
-    live.bound_cache(32)
+    live.set_cache_limit(32)
     bpy.ops.meniscus.add_files(filepath=str(first))
     shown = bpy.context.object
     settings = shown.data.meniscus

@@ -20,10 +20,10 @@ class InputError(Error, ValueError):
 class FileError(Error, OSError):
     """A file that cannot be read or written.
 
-    If the operating system reports an error, ``errno`` and ``strerror`` describe this error, and the
-    exception is also an instance of Python's class for it, such as ``FileNotFoundError``,
-    ``PermissionError`` or ``FileExistsError``. Otherwise, ``errno`` and ``strerror`` are None.
-    ``filename`` is the file or the folder, or None.
+    If the operating system reports an error, if an output already exists, or if inputs are missing,
+    ``errno`` and ``strerror`` describe the error, and the exception is also an instance of Python's
+    class for it, such as ``FileNotFoundError``, ``PermissionError`` or ``FileExistsError``.
+    Otherwise, ``errno`` and ``strerror`` are None. ``filename`` is the file or the folder, or None.
     """
 
     def __str__(self) -> str:
@@ -35,7 +35,7 @@ class FileError(Error, OSError):
 
 
 def file_error(message: str, errno: int | None, filename: str | os.PathLike[str] | None) -> FileError:
-    """A FileError, which is also an instance of Python's class for the system's error ``errno``."""
+    """Creates a FileError that is also an instance of Python's class for the system error ``errno``."""
     error = _class_of(OSError if errno is None else type(OSError(errno, "")))(message)
     error.filename = None if filename is None else os.fspath(filename)
     if errno is not None:
@@ -58,7 +58,7 @@ class DeviceError(Error, RuntimeError):
     """A requested device that cannot be used."""
 
 
-class _Sentence(str):
+class _Message(str):
     """A message that compares equal to messages that differ from it only in numbers."""
 
     __slots__ = ()
@@ -67,7 +67,7 @@ class _Sentence(str):
         return _NUMBER.sub("#", str.__str__(self))
 
     def __eq__(self, other: object) -> bool:
-        if isinstance(other, _Sentence):
+        if isinstance(other, _Message):
             return self._kind() == other._kind()
         return str.__eq__(self, other)
 
@@ -91,7 +91,7 @@ class MeshWarning(UserWarning):
         return tuple(float(number) for number in _NUMBER.findall(super().__str__()))
 
     def __str__(self) -> str:
-        return _Sentence(super().__str__())
+        return _Message(super().__str__())
 
 
 for _kind in (Error, InputError, FileError, DeviceError, MeshWarning):

@@ -210,7 +210,7 @@ def _ignore(keywords: Mapping[str, bool]) -> None:
 
 
 def _within(points: _Array, low: _Corner, high: _Corner) -> npt.NDArray[np.bool_] | None:
-    """Returns which points are inside a box, or None if the box has no corners; both corners are optional."""
+    """Returns a mask of the points inside a box, or None if neither corner of the box is given."""
     if low is None and high is None:
         return None
     inside = np.ones(len(points), dtype=np.bool_)
@@ -241,13 +241,13 @@ def _surface(
     dtype = particles.dtype
     cell_size = cube_size * radius
     if not len(particles):
-        nothing = TriMesh3d(np.empty((0, 3), dtype), np.empty((0, 3), np.uint64))
-        empty = MeshWithData(nothing)
+        no_mesh = TriMesh3d(np.empty((0, 3), dtype), np.empty((0, 3), np.uint64))
+        empty = MeshWithData(no_mesh)
         if normals:
             empty.point_attributes["normals"] = np.empty((0, 3), dtype)
         for name, values in attributes.items():
             empty.point_attributes[name] = np.empty((0, *values.shape[1:]), dtype)
-        return empty, SurfaceReconstruction(nothing, UniformGrid(particles, (0, 0, 0), cell_size), inside)
+        return empty, SurfaceReconstruction(no_mesh, UniformGrid(particles, (0, 0, 0), cell_size), inside)
     # Use numbers as names of the attributes, because the library would rename some names, such as
     # "v", to "velocity".
     numbered = {str(number): _floats(values) for number, values in enumerate(attributes.values())}
