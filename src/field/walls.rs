@@ -71,6 +71,12 @@ const FARTHEST: f64 = 0.75;
 const SAME: f64 = 0.5;
 /// The maximum distance, in spacings, of a scene's wall beyond the plane at which the fluid ends.
 const KEPT: f64 = 2.0;
+/// The maximum distance, in spacings, of a scene's wall beyond the outermost particle of fluid that
+/// touches this wall. Solvers keep particles up to a spacing away from walls.
+const TOUCHING: f64 = 1.25;
+/// The distance, in spacings, of the wall beyond the outermost particle of all frames, if no frame
+/// shows the plane at which the fluid ends. Where a plane is found, the distance is about the same.
+const PAST_OUTERMOST: f64 = 0.05;
 /// The maximum volume, in cubed spacings, of the particles in a shell that holds only stray drops.
 const FEW: f64 = 32.0;
 /// Number of fixed-point steps of a depth per spacing.
@@ -467,22 +473,10 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
         passed.count() <= 1
     };
     if let Some(scene) = scene.filter(fits) {
-        let walls = Walls([0, 1, 2].map(|axis| {
-            [0, 1].map(|end| {
-                let wall = scene.0[axis][end]?;
-                let near = |at: f64, spacing: f64| {
-                    (-SAME..=KEPT).contains(&(outside(end, wall, at) / spacing))
-                };
-                let planes = frames.iter().filter_map(|frame| frame.plane(axis, end));
-                let planes = planes.filter(|&at| near(at, spacing_at(frames, axis, end)));
-                let outermost = planes.reduce(|a, b| if outside(end, b, a) > 0.0 { b } else { a });
-                match outermost {
-                    Some(at) => Some(rounded_for(frames, axis, end, at)),
-                    None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
-                    None => Some(wall),
-                }
-            })
-        }));
+        let wall = |axis: usize, end: usize| {
+            scene.0[axis][end].and_then(|wall| wall_near_scene(frames, (axis, end), wall))
+        };
+        let walls = Walls([0, 1, 2].map(|axis| [0, 1].map(|end| wall(axis, end))));
         return (walls, true);
     }
     // If `up` is not given, and only one of the axes y and z lies in the plane of two-dimensional
@@ -496,6 +490,33 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
         None => {}
     }
     (walls, false)
+}
+
+/// The wall at a side where a scene has `wall`; `None` if particles are far beyond it. Solvers keep
+/// a distance from walls, so if the fluid touches the scene's wall, the result is where the fluid
+/// ends: at the outermost plane of all frames or, if particles lie beyond this plane or no frame
+/// shows a plane, just beyond the outermost particle. If no fluid is near, the result is `wall`.
+fn wall_near_scene(frames: &[Ends], (axis, end): (usize, usize), wall: f64) -> Option<f64> {
+    let spacing = spacing_at(frames, axis, end);
+    let is_near = |at: f64, most: f64| (-SAME..=most).contains(&(outside(end, wall, at) / spacing));
+    let outermost = |a: f64, b: f64| if outside(end, b, a) > 0.0 { b } else { a };
+    let planes = frames.iter().filter_map(|frame| frame.plane(axis, end));
+    let plane = planes.filter(|&at| is_near(at, KEPT)).reduce(outermost);
+    let has_fluid =
+        |frame: &&Ends| frame.sides[axis][end] != BoxSide::Stray && frame.flat != Some(axis);
+    let reached = frames.iter().filter(has_fluid).map(|frame| frame.reach[axis][end]);
+    let reach = reached.filter(|&at| is_near(at, TOUCHING)).reduce(outermost);
+    let is_plane_passed =
+        |at: f64| plane.is_none_or(|plane| outside(end, at, plane) > SAME * spacing);
+    let end_of_fluid = match reach.filter(|&at| is_plane_passed(at)) {
+        Some(reach) => Some(outward(end, reach, PAST_OUTERMOST * spacing)),
+        None => plane,
+    };
+    match end_of_fluid {
+        Some(at) => Some(rounded_for(frames, axis, end, at)),
+        None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
+        None => Some(wall),
+    }
 }
 
 fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
@@ -716,6 +737,23 @@ mod tests {
             found,
             Walls([[Some(0.0), Some(90.0)], [Some(0.0), None], [Some(0.0), Some(40.0)]])
         );
+        // Too shallow for planes: only two layers.
+        let film = ends(&lattice([30, 2, 40], 0.2));
+        let (found, _) = common(std::slice::from_ref(&film), Some(&scene), None);
+        let [[lo, hi], [floor, top], [front, back]] = found.0;
+        assert_eq!((hi, top), (Some(90.0), None));
+        for (wall, expected) in [(lo, 0.25), (floor, 0.25), (front, 0.25), (back, 39.75)] {
+            assert!((wall.unwrap() - expected).abs() < 0.1, "{wall:?}, expected {expected}");
+        }
+        // The block expands until it touches the walls. Later frames show no planes.
+        let mut splash = lattice([30, 30, 42], 0.2);
+        splash.retain(|[x, y, _]| *y < 8.0 + 7.0 * (x / 3.0).sin());
+        splash.iter_mut().for_each(|[_, _, z]| *z -= 1.0);
+        let later = ends(&splash);
+        let wide = Walls([[None; 2], [None; 2], [Some(-1.8), Some(41.8)]]);
+        let (found, _) = common(&[dam.clone(), later], Some(&wide), None);
+        let [front, back] = found.0[2].map(|wall| wall.unwrap());
+        assert!((-0.9..-0.6).contains(&front) && (40.6..40.9).contains(&back), "{found:?}");
         // This scene belongs to another simulation.
         let other = Walls([[Some(5.0), Some(20.0)], [Some(-1.0), None], [None, None]]);
         assert!(!common(&[dam], Some(&other), None).1);

@@ -108,11 +108,25 @@ fn read_small(path: &Path) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// The six walls of a box with its lowest corner at `lo`. `None` for an invalid box.
+/// The six walls of a box with its lowest corner at `lo`. `None` for an invalid box. Coordinates
+/// are rounded to 12 significant digits of the greatest, which removes the rounding errors of the
+/// corners.
 fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
     let is_box = lo.iter().all(|at| at.is_finite()) && size.iter().all(|&edge| edge > 0.0);
-    let ends = |axis: usize| [lo[axis], lo[axis] + size[axis]].map(Some);
+    let greatest = lo.iter().chain(&size).fold(0.0, |most: f64, at| most.max(at.abs()));
+    let digits = (12.0 - libm::log10(greatest).ceil()).clamp(0.0, 30.0) as usize;
+    let tidy = |at: f64| format!("{at:.digits$}").parse().ok().or(Some(at));
+    let ends = |axis: usize| [lo[axis], lo[axis] + size[axis]].map(tidy);
     is_box.then(|| Walls([0, 1, 2].map(ends)))
+}
+
+/// Whether a JSON value is true. Some scenes have numbers instead of booleans; 0 is false.
+fn is_true(value: &serde_json::Value) -> bool {
+    value.as_bool().unwrap_or_else(|| value.as_f64().is_some_and(|number| number != 0.0))
+}
+
+fn flag<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
+    serde_json::Value::deserialize(deserializer).map(|value| is_true(&value))
 }
 
 /// Reads a scene of SPlisHSPlasH. The spacing is twice `Configuration.particleRadius`, and the tank
@@ -135,7 +149,7 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     #[serde(rename_all = "camelCase", default)]
     struct Body {
         geometry_file: String,
-        is_wall: bool,
+        #[serde(deserialize_with = "flag")]
         is_dynamic: bool,
         rotation_angle: f64,
         translation: [f64; 3],
@@ -145,7 +159,6 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
         fn default() -> Self {
             Self {
                 geometry_file: String::new(),
-                is_wall: false,
                 is_dynamic: false,
                 rotation_angle: 0.0,
                 translation: [0.0; 3],
@@ -163,10 +176,11 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
         }
     }
     let SceneDocument { configuration, rigid_bodies } = serde_json::from_slice(json).ok()?;
-    let bodies: Vec<Body> = serde_json::from_value(rigid_bodies).unwrap_or_default();
-    let walls: Vec<&Body> = bodies.iter().filter(|body| body.is_wall).collect();
+    // Bodies that are not walls do not matter, even if they are invalid.
+    let bodies = rigid_bodies.as_array().into_iter().flatten();
+    let walls: Vec<_> = bodies.filter(|body| is_true(&body["isWall"])).collect();
     let tank = match walls[..] {
-        [tank] => tank.walls(),
+        [tank] => Body::deserialize(tank).ok().and_then(|body| body.walls()),
         _ => None,
     };
     Some(SceneFacts { spacing: 2.0 * configuration.particle_radius, tank })
@@ -325,6 +339,18 @@ mod tests {
             let expected = if other.contains("other") { Some(tank) } else { None };
             assert_eq!(splishsplash(&body(other)).unwrap().tank, expected, "{other}");
         }
+        // A second body with a number as its flag, or with an invalid property.
+        for other in [r#"{"isDynamic": 1}"#, r#"{"isWall": 0, "scale": 1}"#] {
+            let scene =
+                String::from_utf8(body("")).unwrap().replace("}]", &format!("}}, {other}]"));
+            assert_eq!(splishsplash(scene.as_bytes()).unwrap().tank, Some(tank), "{other}");
+        }
+        let moving = splishsplash(&body(", \"isDynamic\": 1")).unwrap();
+        assert_eq!(moving.tank, None);
+        let shifted = String::from_utf8(body("")).unwrap().replace("[0, 1.5, 0]", "[0, 1, 0]");
+        let shifted = shifted.replace("[4, 3, 1.5]", "[4, 2.1, 1.5]");
+        let tank = splishsplash(shifted.as_bytes()).unwrap().tank.unwrap();
+        assert_eq!(tank.0[1], [Some(-0.05), Some(2.05)], "1 - 2.1 / 2 has a rounding error");
         let without =
             br#"{"Configuration": {"particleRadius": 0.025}, "RigidBodies": [{"scale": 1}]}"#;
         assert_eq!(splishsplash(without), Some(SceneFacts { spacing: 0.05, tank: None }));
