@@ -209,9 +209,9 @@ settings! {
     /// A condition is an attribute, a comparison (=, !=, <, <=, > or >=) and a value: Type=1,
     /// age<2.5, phase!=boundary. mk=0,2 accepts either value. `and` joins conditions that must all
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
-    /// position. If a file has several types of particles, type=NAME selects one of them: a type of
-    /// a SWIFT or GADGET snapshot (such as PartType1), an array of PySPH, or a species of openPMD.
-    /// By default, gas is selected, or fluid if there is no gas.
+    /// position. If a file stores each type of particle separately, type=NAME selects one type:
+    /// PartType1, for example, in SWIFT and GADGET snapshots, an array of PySPH, or a species of
+    /// openPMD. By default, gas is selected, or fluid if there is no gas.
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 

@@ -1,8 +1,9 @@
 //! The computation of the field from samples, defined once for all backends. It uses the paper's
 //! filters, or distances from clouds.
 //!
-//! A request determines the [`Filters`], and thereby the reach and the memory. A [`Recipe`] also
-//! contains the isovalue. For the paper's filters, the isovalue comes from the calibration.
+//! A request determines the [`Filters`]. Their reach, and the memory that they need, are therefore
+//! known before the calibration. A [`Recipe`] consists of the filters and the isovalue. For the
+//! paper's filters, the isovalue comes from the calibration.
 
 use crate::field::blur::{FieldCount, Filter, Smoothing, Weights};
 use crate::field::detail::Recovery;
@@ -443,7 +444,7 @@ pub trait Fields {
         certainty: &Self::Field,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// The field, computed from the bulk's surface and drops.
+    /// The final field: the surface of the bulk, joined with drops and sheets.
     fn joined(
         &mut self,
         bulk: Self::Field,

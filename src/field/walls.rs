@@ -71,12 +71,12 @@ const FARTHEST: f64 = 0.75;
 const SAME: f64 = 0.5;
 /// The maximum distance, in spacings, of a scene's wall beyond the plane at which the fluid ends.
 const KEPT: f64 = 2.0;
-/// The maximum distance, in spacings, of a scene's wall beyond the outermost particle of fluid that
-/// touches this wall. Solvers keep particles up to a spacing away from walls.
-const TOUCHING: f64 = 1.25;
-/// The distance, in spacings, of the wall beyond the outermost particle of all frames, if no frame
-/// shows the plane at which the fluid ends. Where a plane is found, the distance is about the same.
-const PAST_OUTERMOST: f64 = 0.05;
+/// The minimum number of particles per squared spacing in the shell of a column whose fluid touches
+/// a side.
+const TOUCHING: f64 = 0.5;
+/// The minimum number of columns that show where shallow fluid ends. A wall at this place must be
+/// known from elsewhere.
+const FEWEST_TOUCHING: usize = 8;
 /// The maximum volume, in cubed spacings, of the particles in a shell that holds only stray drops.
 const FEW: f64 = 32.0;
 /// Number of fixed-point steps of a depth per spacing.
@@ -111,6 +111,9 @@ pub struct Ends {
     /// The least and the greatest coordinate along each axis.
     reach: [[f64; 2]; 3],
     sides: [[BoxSide; 2]; 3],
+    /// For each side, the coordinate of a wall that the fluid touches, if there is one: unlike a
+    /// plane, shallow or uneven fluid does not show that there is a wall, only where it would be.
+    touched: [[Option<f64>; 2]; 3],
     /// The spacing, which is the smallest size if there are several.
     spacing: f64,
     /// The spacing at each side.
@@ -227,12 +230,14 @@ impl Ends {
         let mut ends = Self {
             reach: [0, 1, 2].map(|axis| [bounds.lo[axis], bounds.hi[axis]]),
             sides: [[BoxSide::Unclear; 2]; 3],
+            touched: [[None; 2]; 3],
             spacing,
             spacings,
             flat,
         };
         for side in sides {
             ends.sides[side.axis][side.end] = side.judged();
+            ends.touched[side.axis][side.end] = side.touched();
         }
         Some(ends)
     }
@@ -358,21 +363,14 @@ impl SideColumns {
         const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
         let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
         let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
-        let volume = |steps: &AtomicU64| steps.load(Relaxed) as f64 / VOLUME_STEPS;
         let is_full = |column: &&ColumnCounts| volume(&column.behind) >= behind;
-        let nearest = |column: &ColumnCounts| f64::from(column.nearest.load(Relaxed)) / STEPS;
-        let (mut full, mut shell, mut in_gap, mut depths) = (0, 0.0, 0.0, 0.0);
-        for column in self.columns.iter().filter(is_full) {
-            full += 1;
-            shell += volume(&column.shell);
-            in_gap += volume(&column.in_gap);
-            depths += volume(&column.depths) / STEPS;
-        }
+        let full = self.columns.iter().filter(is_full).count();
         let mut groups: Vec<f64> = self
             .columns
             .chunks(GROUP_COLUMNS)
             .filter_map(|group| {
-                let full: Vec<f64> = group.iter().filter(is_full).map(nearest).collect();
+                let full: Vec<f64> =
+                    group.iter().filter(is_full).map(ColumnCounts::nearest).collect();
                 (full.len() >= least_of_group).then(|| full.into_iter().fold(f64::MAX, f64::min))
             })
             .collect();
@@ -386,25 +384,77 @@ impl SideColumns {
         // A few particles may lie in front of the others, because solvers let some particles
         // through.
         let end = median.min(NEAR) + NEAR;
-        let ending = self.columns.iter().filter(is_full).filter(|c| nearest(c) < end).count();
+        let ending = self.columns.iter().filter(is_full).filter(|c| c.nearest() < end).count();
         let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
-        let area = full as f64 * self.area;
-        let shell_per_area = shell / area;
-        if (ending as f64) < ENDING * full as f64 || !DENSITY.contains(&(shell_per_area / SHELL)) {
+        let shell = Shell::of(self.columns.iter().filter(is_full), self.area);
+        if (ending as f64) < ENDING * full as f64 || !DENSITY.contains(&(shell.per_area / SHELL)) {
             return BoxSide::Ragged;
         }
         if (level as f64) < LEVEL_SHARE * groups.len() as f64 {
             return BoxSide::Unclear;
         }
-        let has_gap = in_gap <= IN_GAP * area * (GAP.end - GAP.start);
-        let particles_per_area = if has_gap { shell_per_area } else { shell_per_area.min(SHELL) };
-        let mean = if shell > 0.0 { depths / shell } else { 0.0 };
-        let outside = (particles_per_area / 2.0 - mean).clamp(0.0, FARTHEST) * self.spacing;
-        BoxSide::Plane(outward(self.end, self.at, outside))
+        BoxSide::Plane(self.wall(&shell))
+    }
+
+    /// The coordinate of the wall if the fluid touches one here, however shallow the fluid is.
+    /// `None` if too little fluid is near the outermost particle.
+    fn touched(&self) -> Option<f64> {
+        let touches = |column: &&ColumnCounts| {
+            column.nearest() < NEAR && volume(&column.shell) >= TOUCHING * self.area
+        };
+        let columns = self.columns.iter().filter(touches);
+        let is_enough = columns.clone().count() >= FEWEST_TOUCHING;
+        is_enough.then(|| self.wall(&Shell::of(columns, self.area)))
+    }
+
+    /// The coordinate of the wall that the fluid of a shell touches.
+    fn wall(&self, shell: &Shell) -> f64 {
+        let per_area = if shell.has_gap { shell.per_area } else { shell.per_area.min(SHELL) };
+        let beyond = (per_area / 2.0 - shell.mean_depth).clamp(0.0, FARTHEST);
+        outward(self.end, self.at, beyond * self.spacing)
     }
 }
 
+/// The particles in the outermost shell of some columns.
+struct Shell {
+    /// Volume of the particles per area, in spacings.
+    per_area: f64,
+    /// Mean depth of the particles, in spacings.
+    mean_depth: f64,
+    /// Whether there is a gap behind the outermost layer, as in a lattice.
+    has_gap: bool,
+}
+
+impl Shell {
+    /// Sums the counts of columns, each of which has the cross-section `area`.
+    fn of<'a>(columns: impl Iterator<Item = &'a ColumnCounts>, area: f64) -> Self {
+        let (mut count, mut shell, mut in_gap, mut depths) = (0_u32, 0.0, 0.0, 0.0);
+        for column in columns {
+            count += 1;
+            shell += volume(&column.shell);
+            in_gap += volume(&column.in_gap);
+            depths += volume(&column.depths) / STEPS;
+        }
+        let area = f64::from(count) * area;
+        Self {
+            per_area: shell / area,
+            mean_depth: if shell > 0.0 { depths / shell } else { 0.0 },
+            has_gap: in_gap <= IN_GAP * area * (GAP.end - GAP.start),
+        }
+    }
+}
+
+/// Converts a volume from steps to cubed spacings.
+fn volume(steps: &AtomicU64) -> f64 {
+    steps.load(Relaxed) as f64 / VOLUME_STEPS
+}
+
 impl ColumnCounts {
+    /// The minimum depth of a particle, in spacings.
+    fn nearest(&self) -> f64 {
+        f64::from(self.nearest.load(Relaxed)) / STEPS
+    }
+
     fn new() -> Self {
         let [shell, in_gap, behind, depths] = [0; 4].map(AtomicU64::new);
         Self { nearest: AtomicU32::new(u32::MAX), shell, in_gap, behind, depths }
@@ -494,25 +544,15 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
 
 /// The wall at a side where a scene has `wall`; `None` if particles are far beyond it. Solvers keep
 /// a distance from walls, so if the fluid touches the scene's wall, the result is where the fluid
-/// ends: at the outermost plane of all frames or, if particles lie beyond this plane or no frame
-/// shows a plane, just beyond the outermost particle. If no fluid is near, the result is `wall`.
+/// ends, according to the frame in which it ends farthest out. If no fluid is near, the result is
+/// `wall`.
 fn wall_near_scene(frames: &[Ends], (axis, end): (usize, usize), wall: f64) -> Option<f64> {
     let spacing = spacing_at(frames, axis, end);
-    let is_near = |at: f64, most: f64| (-SAME..=most).contains(&(outside(end, wall, at) / spacing));
+    let is_near = |at: &f64| (-SAME..=KEPT).contains(&(outside(end, wall, *at) / spacing));
+    let ends =
+        frames.iter().filter_map(|frame| frame.plane(axis, end).or(frame.touched[axis][end]));
     let outermost = |a: f64, b: f64| if outside(end, b, a) > 0.0 { b } else { a };
-    let planes = frames.iter().filter_map(|frame| frame.plane(axis, end));
-    let plane = planes.filter(|&at| is_near(at, KEPT)).reduce(outermost);
-    let has_fluid =
-        |frame: &&Ends| frame.sides[axis][end] != BoxSide::Stray && frame.flat != Some(axis);
-    let reached = frames.iter().filter(has_fluid).map(|frame| frame.reach[axis][end]);
-    let reach = reached.filter(|&at| is_near(at, TOUCHING)).reduce(outermost);
-    let is_plane_passed =
-        |at: f64| plane.is_none_or(|plane| outside(end, at, plane) > SAME * spacing);
-    let end_of_fluid = match reach.filter(|&at| is_plane_passed(at)) {
-        Some(reach) => Some(outward(end, reach, PAST_OUTERMOST * spacing)),
-        None => plane,
-    };
-    match end_of_fluid {
+    match ends.filter(is_near).reduce(outermost) {
         Some(at) => Some(rounded_for(frames, axis, end, at)),
         None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
         None => Some(wall),
@@ -742,9 +782,10 @@ mod tests {
         let (found, _) = common(std::slice::from_ref(&film), Some(&scene), None);
         let [[lo, hi], [floor, top], [front, back]] = found.0;
         assert_eq!((hi, top), (Some(90.0), None));
-        for (wall, expected) in [(lo, 0.25), (floor, 0.25), (front, 0.25), (back, 39.75)] {
+        for (wall, expected) in [(lo, 0.0), (floor, 0.0), (front, 0.0), (back, 40.0)] {
             assert!((wall.unwrap() - expected).abs() < 0.1, "{wall:?}, expected {expected}");
         }
+        assert!(common(std::slice::from_ref(&film), None, None).0.is_open());
         // The block expands until it touches the walls. Later frames show no planes.
         let mut splash = lattice([30, 30, 42], 0.2);
         splash.retain(|[x, y, _]| *y < 8.0 + 7.0 * (x / 3.0).sin());
@@ -753,7 +794,7 @@ mod tests {
         let wide = Walls([[None; 2], [None; 2], [Some(-1.8), Some(41.8)]]);
         let (found, _) = common(&[dam.clone(), later], Some(&wide), None);
         let [front, back] = found.0[2].map(|wall| wall.unwrap());
-        assert!((-0.9..-0.6).contains(&front) && (40.6..40.9).contains(&back), "{found:?}");
+        assert!((front + 1.0).abs() < 0.1 && (back - 41.0).abs() < 0.1, "{found:?}");
         // This scene belongs to another simulation.
         let other = Walls([[Some(5.0), Some(20.0)], [Some(-1.0), None], [None, None]]);
         assert!(!common(&[dam], Some(&other), None).1);

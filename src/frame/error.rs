@@ -81,9 +81,9 @@ pub enum FrameError {
     },
     /// The images were made for filters with a smaller reach.
     #[error(
-        "the frame has copies of particles only up to {there} cells beyond the faces of its \
-         periodic box, but these settings need {needed} cells; use less smoothing, or reconstruct \
-         the particles again with these settings"
+        "the packed or sampled frame has copies of particles only up to {there} cells beyond the \
+         faces of its periodic box, but these settings need {needed} cells; use less smoothing, or \
+         pack or sample the particles again with these settings"
     )]
     FewImages {
         /// The reach, in cells, of the filters beyond a face.

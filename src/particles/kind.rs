@@ -71,9 +71,9 @@ pub enum KindFault {
     /// are in this range.
     #[error(
         "colour {name:?} has the value {value}, but the calibration frame (usually the first) has \
-         integers from 0 to 255; store colours in the same way in all frames, begin with a frame \
-         that has a value outside this range, so that meniscus accepts such values in all frames, \
-         or do not transfer the attribute"
+         integers from 0 to 255; either store colours in the same way in all frames, or begin with \
+         a frame that has a value outside this range (all frames can then have such values), or do \
+         not transfer the attribute"
     )]
     NoByte {
         /// The name of the attribute.

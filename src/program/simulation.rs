@@ -289,7 +289,7 @@ pub struct SimulationOptions {
     /// Convert frames F, F + N, F + 2N and so on, where F is --start or the first frame's number.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..), help_heading = "Simulations", hide_short_help = true)]
     step: Option<u64>,
-    /// Convert only frames A to B (inclusive): one job of a simulation that several jobs convert.
+    /// Convert only frames A to B (inclusive), as one of several jobs that share a simulation.
     ///
     /// The calibration (the density deep in the fluid, which all frames share) is measured on one
     /// of the frames that --start, --end and --step select. --frames has no effect on which frame

@@ -439,7 +439,8 @@ fn warnings(all: &mut String) {
         },
     );
     let known = AttributeInfo { name: heat(), components: 1, kind: AttributeKind::Number };
-    examples!(text, UnreadPart:
+    let mut parts = String::new();
+    examples!(parts, UnreadPart:
         Attribute(known),
         Block { name: "walls".into(), holds: "a grid".into() },
         Names(vec!["fluid".into(), "boundary".into()]),
@@ -450,6 +451,13 @@ fn warnings(all: &mut String) {
         CellData("density".into()),
         Coordinates { names: ["x", "y", "z"].map(String::from), position: "pos".into() },
     );
+    // A part is read in a sentence: see [`Warning::LeftOut`].
+    for line in parts.lines() {
+        match line.split_once(": ") {
+            Some((variant, part)) => text += &format!("{variant}: meniscus left out {part}\n"),
+            None => text += &format!("{line}\n"),
+        }
+    }
     let contradicted = |given, mistake, spray| SpacingWarning::Contradicted {
         given,
         source: SpacingSource::Given,

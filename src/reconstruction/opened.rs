@@ -232,7 +232,7 @@ impl OpenedFrame {
 
     /// Checks, before the particles are sampled, that the format of `output` can store the
     /// attributes that the settings name. This check may read the values of these attributes,
-    /// because the values determine whether integers are a colour.
+    /// because whether integers can be stored as a colour depends on their values.
     ///
     /// # Errors
     /// [`Error::SettingConflict`], and [`Error::Frame`] for values that a mesh cannot store.

@@ -226,11 +226,13 @@ impl SamplingRequest {
         Ok(Ends::of(particles, known, lengths, flat, &self.grid_of(cells)?))
     }
 
-    /// The walls that `frames`, and a scene file next to `path`, indicate.
+    /// The walls that `frames` indicate, together with the walls that the caller set or, if there
+    /// are none, those of a scene file next to `path`.
     pub fn walls_of(&self, frames: &[Ends], path: Option<&Path>) -> FoundWalls {
-        let scene = path.and_then(tank_from_scene);
+        let given = self.walls.map(|corners| Walls::from_corners(corners.map(|at| at.to_array())));
+        let scene = path.filter(|_| given.is_none()).and_then(tank_from_scene);
         let usual = path.filter(|path| usual_up(path) == UpAxis::Z).map(|_| 2);
-        let known = scene.as_ref().map(|(walls, _)| walls);
+        let known = given.as_ref().or(scene.as_ref().map(|(walls, _)| walls));
         let (mut walls, by_scene) = common(frames, known, self.up.or(usual));
         if let Some((faces, _)) = self.periodic {
             (0..3).filter(|&axis| faces[axis].is_some()).for_each(|axis| walls.0[axis] = [None; 2]);

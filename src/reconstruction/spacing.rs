@@ -98,7 +98,7 @@ pub enum SpacingWarning {
         invalid: u64,
         /// The size that is used for particles without a valid size.
         usual: f64,
-        /// Number of particles larger than the largest size that is used.
+        /// Number of particles whose size exceeds `coarsest`.
         larger: u64,
         /// The largest size that is used.
         coarsest: f64,
@@ -440,7 +440,7 @@ impl fmt::Display for SpacingWarning {
                     about(*found)
                 )?;
                 if *spray {
-                    write!(f, "; for spray, the sizes can be right")?;
+                    write!(f, "; in spray, whose particles are far apart, the sizes can be right")?;
                 }
                 Ok(())
             }

@@ -698,6 +698,16 @@ fn a_wall_that_the_fluid_almost_reaches_and_coarse_cells_are_reported() {
         let errors = errors(&["--spacing", "1", "--domain", &domain]);
         assert_eq!(errors.contains(before_wall), is_reported, "{gap}: {errors}");
     }
+    // Two layers are too shallow to show a wall, but they show where the wall of the domain is.
+    for (jitter, gap, is_reported) in
+        [(0.0, 0.0, false), (0.0, 0.5, true), (0.3, 0.0, false), (0.3, 0.8, true)]
+    {
+        let film = fill(20.0, 1.0, jitter, 5, |p| p.y < -18.0);
+        fs::write(folder.path().join("pool.xyz"), raw(&film)).unwrap();
+        let errors = errors(&["--spacing", "1", "--domain", &format!("-,{},-,-,-,-", end - gap)]);
+        assert_eq!(errors.contains(before_wall), is_reported, "{jitter}, {gap}: {errors}");
+    }
+    fs::write(folder.path().join("pool.xyz"), raw(&pool)).unwrap();
     for (cell, is_reported) in [("2", false), ("3", true)] {
         let errors = errors(&["--spacing", "1", "--cell", cell]);
         assert_eq!(errors.contains("spacings wide"), is_reported, "{cell}: {errors}");

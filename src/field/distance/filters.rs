@@ -48,7 +48,7 @@ const STANDS_OUT: [f64; 2] = [0.4, 1.0];
 /// The range, in spacings, of the difference between the fine and the calm surface in which sheets
 /// begin to stand out earlier than drops. In the bulk, the two surfaces agree.
 const SHEETS_APART: [f64; 2] = [0.35, 0.45];
-/// The standard deviation of a particle's drop, in spacings.
+/// The standard deviation, in spacings, of the Gaussian that forms the drop of a single particle.
 const DROP_WIDTH: f64 = 0.6;
 /// The radius, in spacings, of a single particle's drop in fine cells.
 const DROP_RADIUS: f64 = 0.55;

@@ -98,9 +98,10 @@ pub struct Width {
 pub struct Bulk {
     /// The three widths, narrowest first.
     pub widths: [Width; 3],
-    /// Factors for extrapolating the distances of two widths to width 0, in 4096ths of the
-    /// difference between these distances: first for the two narrower widths, then for the two
-    /// wider ones.
+    /// Two factors, in 4096ths. A width of smoothing gives a distance. The distance for width 0 is
+    /// extrapolated from two widths: it is the distance of the narrower one, plus a factor times
+    /// the difference between their distances. The first factor is for the two narrower widths, the
+    /// second for the two wider ones.
     pub shares: [i32; 2],
     /// The factor that converts samples to fractions of the plateau: sample * factor / 16384 is the
     /// fraction in 32768ths.

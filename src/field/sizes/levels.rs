@@ -133,9 +133,10 @@ impl BlockLevels {
         regions
     }
 
-    /// The seams of a region with narrower cells, in Morton order. There is a seam for each block
-    /// of the level below that lies in the region's block and has narrower cells at an upper face,
-    /// edge or corner. The seam is the part of that block in which cells of both levels meet.
+    /// The seams between a region and its neighbours with narrower cells, in Morton order. The
+    /// level below has narrower cells. A block of that level in the region's block has a seam if
+    /// narrower cells adjoin one of its upper faces, edges or corners. The seam is the part of that
+    /// block in which cells of both levels meet.
     #[must_use]
     pub fn seams(&self, region: LevelRegion) -> Vec<LevelRegion> {
         let LevelRegion { level, cells } = region;

@@ -47,7 +47,7 @@ fn numbers_of(
     }
 }
 
-/// The spacings of particles, from counting.
+/// The spacings of particles, estimated from the numbers of particles in cells.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Spacings {
     /// The spacing of all particles, as if they were evenly distributed.

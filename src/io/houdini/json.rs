@@ -3,6 +3,7 @@
 //! No tree of values is built. Readers process one event after another, and long arrays of numbers
 //! are not copied.
 
+use std::fmt;
 use std::rc::Rc;
 
 use half::f16;
@@ -77,6 +78,15 @@ pub struct JsonNumbers {
 pub enum JsonNumber {
     Integer(i64),
     Real(f64),
+}
+
+impl fmt::Display for JsonNumber {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Integer(number) => number.fmt(f),
+            Self::Real(number) => number.fmt(f),
+        }
+    }
 }
 
 /// A JSON document that is read sequentially.

@@ -249,8 +249,7 @@ impl<'a> UnpackedColumns<'a> {
             let part = JsonNumbers { at: 0, storage: Storage::Scalar(scalar), count };
             part.each(stored.into(), endian, |number| {
                 let JsonNumber::Integer(number @ -1..) = number else {
-                    let what =
-                        format!("attribute {name}: {number:?} is not the number of a string");
+                    let what = format!("attribute {name}: {number} is not the number of a string");
                     return Err(run.fault(what));
                 };
                 if number >= texts.len() as i64 {

@@ -42,7 +42,7 @@ const SIZES: [IVec3; 3] = [IVec3::ONE, IVec3::new(2, 1, 1), IVec3::splat(2)];
 const AIR: [f64; 2] = [2.0, 3.0];
 /// Number of air bubbles of each radius.
 const BALLS: usize = 4;
-/// Number of particles along the edges of a bulk.
+/// Number of particles along each edge of the cubes of fluid.
 const EDGE: i32 = 24;
 
 pub fn run(options: &Options, board: &Board) -> Outcome<()> {

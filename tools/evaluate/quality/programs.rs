@@ -35,8 +35,8 @@ pub enum Takes {
     Many,
     /// Only scenes with few particles.
     Few,
-    /// Only scenes with few particles, and only table rows with few scenes, because the program is
-    /// slow to start.
+    /// Only scenes with few particles, in table rows with few scenes, because every start of the
+    /// program takes long.
     Slow,
 }
 
