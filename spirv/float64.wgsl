@@ -102,7 +102,7 @@ fn f64_mul(a: vec2<u32>, b: vec2<u32>) -> vec2<u32> {
 }
 
 // The quotient a / b. The divisor must be finite and not 0. `reciprocal` must be (2^116 - 1)
-// divided by the divisor's significand of 53 bits.
+// divided by the divisor's significand of 53 bits, rounded down.
 fn f64_div(a: vec2<u32>, b: vec2<u32>, reciprocal: vec2<u32>) -> vec2<u32> {
     if !is_finite(a) {
         return vec2(a.x, a.y ^ (b.y & SIGN));

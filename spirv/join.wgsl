@@ -12,7 +12,7 @@ struct JoinPush {
     radius: i32,
     // The standard deviation of a drop.
     width: i32,
-    // The difference between the distances at which drops and sheets of full certainty fade in.
+    // The distance by which sheets of full certainty fade in earlier than drops.
     earlier: u32,
 }
 

@@ -4,7 +4,7 @@
 // and `hi`.
 fn source_of(cell: i32, lo: i32, hi: i32) -> i32 {
     // The middle of the cell, in halves of a cell. A loop is fast, because few cells are beyond a
-    // mirror, and the other cells need only one comparison.
+    // mirror, and the other cells only evaluate the condition once.
     var at = 2 * cell + 1;
     while at < lo || at > hi {
         at = select(2 * hi - at, 2 * lo - at, at < lo);

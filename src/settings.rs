@@ -414,8 +414,8 @@ impl Setting {
         SAMPLING_SETTINGS.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames: all settings that affect the sampling, except
-    /// `method` and `size`, which are not supported when packing.
+    /// Whether the setting affects packed frames. All settings that affect the sampling do so,
+    /// except `method` and `size`, which `check_packing` rejects.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && !["method", "size"].contains(&self.0)
@@ -446,8 +446,8 @@ impl Settings {
     }
 
     /// The settings in a normalized form: a spacing instead of a radius, all conditions joined into
-    /// one, `none` instead of an empty list of attributes, and no value for an automatic isovalue or
-    /// for the method `dif`, which are the defaults.
+    /// one, `none` instead of an empty list of attributes, and no value for an automatic isovalue
+    /// or for the method `dif`, which are the defaults.
     pub(crate) fn normalized(&self) -> Self {
         let iso = self.isovalue().map(Iso::Value);
         let none = || vec!["none".to_owned()];

@@ -88,13 +88,13 @@ impl NeighbourGrid {
         };
         for z in lo.z..hi.z {
             for y in lo.y..hi.y {
-                let along_x = squared
+                let squared_along_x = squared
                     - distance_to_layer(place.z, z).powi(2)
                     - distance_to_layer(place.y, y).powi(2);
-                if along_x <= 0.0 {
+                if squared_along_x <= 0.0 {
                     continue;
                 }
-                let half = along_x.sqrt();
+                let half = squared_along_x.sqrt();
                 let first = ((place.x - half).floor() as i32).max(lo.x);
                 let last = ((place.x + half).floor() as i32).min(hi.x - 1);
                 if first > last {

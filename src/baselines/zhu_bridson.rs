@@ -1,8 +1,8 @@
 //! Zhu and Bridson 2005, "Animating sand as a fluid".
 //!
 //! phi(x) = |x - xbar| - r with xbar = sum_j x_j w(x - x_j) / sum_j w(x - x_j), where w reaches 4 r
-//! and r is half of the spacing. Where no particle is within 4 r, phi is 3 r, because phi is less
-//! than 3 r everywhere else.
+//! and r is half of the spacing. Where no particle is within 4 r, phi is set to 3 r, because phi is
+//! less than 3 r everywhere else.
 
 use glam::DVec3;
 

@@ -71,6 +71,9 @@ const FARTHEST: f64 = 0.75;
 const SAME: f64 = 0.5;
 /// The maximum distance, in spacings, of a scene's wall beyond the plane at which the fluid ends.
 const KEPT: f64 = 2.0;
+/// The same distance for fluid that is too shallow or too uneven to show a plane. Solvers keep
+/// particles up to a spacing away from walls; farther away, such fluid may have a free surface.
+const KEPT_TOUCHED: f64 = 1.0;
 /// The minimum number of particles per squared spacing in the shell of a column whose fluid touches
 /// a side.
 const TOUCHING: f64 = 0.5;
@@ -111,8 +114,9 @@ pub struct Ends {
     /// The least and the greatest coordinate along each axis.
     reach: [[f64; 2]; 3],
     sides: [[BoxSide; 2]; 3],
-    /// For each side, the coordinate of a wall that the fluid touches, if there is one: unlike a
-    /// plane, shallow or uneven fluid does not show that there is a wall, only where it would be.
+    /// For each side, the coordinate at which a wall would be if the fluid touched one there.
+    /// Unlike a plane, shallow or uneven fluid does not show whether there is a wall. `None` if too
+    /// little fluid is near the outermost particle.
     touched: [[Option<f64>; 2]; 3],
     /// The spacing, which is the smallest size if there are several.
     spacing: f64,
@@ -505,7 +509,8 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     if of_few_digits == 0.0 { 0.0 } else { of_few_digits }
 }
 
-/// The walls of a tank, according to all examined frames and, if they are known, a scene's walls.
+/// The walls of a tank, according to all examined frames and, if they are known, the walls of a
+/// scene or of the caller, which `scene` contains.
 ///
 /// With one frame, its planes are the walls. With several frames, a side has a wall under three
 /// conditions: at least two frames, and at least a third of all frames, show a wall at the same
@@ -542,17 +547,18 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
     (walls, false)
 }
 
-/// The wall at a side where a scene has `wall`; `None` if particles are far beyond it. Solvers keep
-/// a distance from walls, so if the fluid touches the scene's wall, the result is where the fluid
-/// ends, according to the frame in which it ends farthest out. If no fluid is near, the result is
-/// `wall`.
+/// The wall at a side where a scene has `wall`. Solvers keep a distance from walls, so if the fluid
+/// of any frame ends near `wall`, the result is where the fluid ends, according to the frame in
+/// which it ends farthest out. Otherwise, the result is `wall`, or `None` if particles are far
+/// beyond `wall`.
 fn wall_near_scene(frames: &[Ends], (axis, end): (usize, usize), wall: f64) -> Option<f64> {
     let spacing = spacing_at(frames, axis, end);
-    let is_near = |at: &f64| (-SAME..=KEPT).contains(&(outside(end, wall, *at) / spacing));
-    let ends =
-        frames.iter().filter_map(|frame| frame.plane(axis, end).or(frame.touched[axis][end]));
+    let is_near = |at: &f64, most| (-SAME..=most).contains(&(outside(end, wall, *at) / spacing));
+    let plane = |frame: &Ends| frame.plane(axis, end).filter(|at| is_near(at, KEPT));
+    let touched = |frame: &Ends| frame.touched[axis][end].filter(|at| is_near(at, KEPT_TOUCHED));
+    let ends = frames.iter().filter_map(|frame| plane(frame).or_else(|| touched(frame)));
     let outermost = |a: f64, b: f64| if outside(end, b, a) > 0.0 { b } else { a };
-    match ends.filter(is_near).reduce(outermost) {
+    match ends.reduce(outermost) {
         Some(at) => Some(rounded_for(frames, axis, end, at)),
         None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
         None => Some(wall),

@@ -108,25 +108,28 @@ fn read_small(path: &Path) -> Option<Vec<u8>> {
     Some(bytes)
 }
 
-/// The six walls of a box with its lowest corner at `lo`. `None` for an invalid box. Coordinates
-/// are rounded to 12 significant digits of the greatest, which removes the rounding errors of the
-/// corners.
+/// The six walls of a box with its lowest corner at `lo`. `None` for an invalid box. All
+/// coordinates are rounded to the decimal place of the twelfth significant digit of the greatest
+/// coordinate or edge, which removes the rounding errors of the corners.
 fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
-    let is_box = lo.iter().all(|at| at.is_finite()) && size.iter().all(|&edge| edge > 0.0);
+    let is_box = lo.iter().all(|at| at.is_finite())
+        && size.iter().all(|&edge| edge > 0.0 && edge.is_finite());
     let greatest = lo.iter().chain(&size).fold(0.0, |most: f64, at| most.max(at.abs()));
     let digits = (12.0 - libm::log10(greatest).ceil()).clamp(0.0, 30.0) as usize;
-    let tidy = |at: f64| format!("{at:.digits$}").parse().ok().or(Some(at));
-    let ends = |axis: usize| [lo[axis], lo[axis] + size[axis]].map(tidy);
+    let tidy = |at: f64| format!("{at:.digits$}").parse().map_or(at, |tidy: f64| tidy + 0.0);
+    let ends = |axis: usize| [lo[axis], lo[axis] + size[axis]].map(|at| Some(tidy(at)));
     is_box.then(|| Walls([0, 1, 2].map(ends)))
 }
 
-/// Whether a JSON value is true. Some scenes have numbers instead of booleans; 0 is false.
-fn is_true(value: &serde_json::Value) -> bool {
-    value.as_bool().unwrap_or_else(|| value.as_f64().is_some_and(|number| number != 0.0))
-}
-
-fn flag<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
-    serde_json::Value::deserialize(deserializer).map(|value| is_true(&value))
+/// A flag of a body: a boolean, or a number, which is false if it is 0. A missing flag is false.
+/// `None` for other values.
+fn flag(value: &serde_json::Value) -> Option<bool> {
+    match value {
+        serde_json::Value::Null => Some(false),
+        serde_json::Value::Bool(flag) => Some(*flag),
+        serde_json::Value::Number(number) => Some(number.as_f64() != Some(0.0)),
+        _ => None,
+    }
 }
 
 /// Reads a scene of SPlisHSPlasH. The spacing is twice `Configuration.particleRadius`, and the tank
@@ -149,8 +152,7 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     #[serde(rename_all = "camelCase", default)]
     struct Body {
         geometry_file: String,
-        #[serde(deserialize_with = "flag")]
-        is_dynamic: bool,
+        is_dynamic: serde_json::Value,
         rotation_angle: f64,
         translation: [f64; 3],
         scale: [f64; 3],
@@ -159,7 +161,7 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
         fn default() -> Self {
             Self {
                 geometry_file: String::new(),
-                is_dynamic: false,
+                is_dynamic: serde_json::Value::Null,
                 rotation_angle: 0.0,
                 translation: [0.0; 3],
                 scale: [1.0; 3],
@@ -170,7 +172,7 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
         /// The walls of a scaled unit box that does not move or rotate. `None` for other bodies.
         fn walls(&self) -> Option<Walls> {
             let is_box = self.geometry_file.rsplit(['/', '\\']).next() == Some("UnitBox.obj");
-            let is_fixed = !self.is_dynamic && self.rotation_angle == 0.0;
+            let is_fixed = flag(&self.is_dynamic) == Some(false) && self.rotation_angle == 0.0;
             let lo = [0, 1, 2].map(|axis| self.translation[axis] - self.scale[axis] / 2.0);
             walls_of(lo, self.scale).filter(|_| is_box && is_fixed)
         }
@@ -178,7 +180,7 @@ fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     let SceneDocument { configuration, rigid_bodies } = serde_json::from_slice(json).ok()?;
     // Bodies that are not walls do not matter, even if they are invalid.
     let bodies = rigid_bodies.as_array().into_iter().flatten();
-    let walls: Vec<_> = bodies.filter(|body| is_true(&body["isWall"])).collect();
+    let walls: Vec<_> = bodies.filter(|body| flag(&body["isWall"]) != Some(false)).collect();
     let tank = match walls[..] {
         [tank] => Body::deserialize(tank).ok().and_then(|body| body.walls()),
         _ => None,
@@ -335,7 +337,12 @@ mod tests {
             Walls([[Some(-2.0), Some(2.0)], [Some(0.0), Some(3.0)], [Some(-0.75), Some(0.75)]]);
         let scene = splishsplash(&body("")).unwrap();
         assert_eq!(scene, SceneFacts { spacing: 0.05, tank: Some(tank) });
-        for other in [", \"isDynamic\": true", ", \"rotationAngle\": 0.1", ", \"other\": 1"] {
+        for other in [
+            ", \"isDynamic\": true",
+            ", \"isDynamic\": \"yes\"",
+            ", \"rotationAngle\": 0.1",
+            ", \"other\": 1",
+        ] {
             let expected = if other.contains("other") { Some(tank) } else { None };
             assert_eq!(splishsplash(&body(other)).unwrap().tank, expected, "{other}");
         }

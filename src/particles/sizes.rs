@@ -26,8 +26,8 @@ pub const SPACING: &str = "spacing";
 const USUAL_MASSES: &str = "masses";
 const USUAL_DENSITIES: [&str; 2] = ["density", "densities"];
 const USUAL_LENGTHS: [&str; 2] = ["smoothinglength", "smoothinglengths"];
-/// Names of attributes that hold diameters, volumes, masses or densities, in lower case and without
-/// punctuation.
+/// Names of attributes whose values are read as diameters, volumes, masses or densities, in lower
+/// case and without punctuation.
 const DIAMETERS: [&str; 8] =
     ["diameter", "diameters", "size", SPACING, "h", "hsml", USUAL_LENGTHS[0], USUAL_LENGTHS[1]];
 const VOLUMES: [&str; 5] = ["volume", "volumes", "vol", "particlevolume", "v0"];

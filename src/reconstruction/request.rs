@@ -308,8 +308,7 @@ impl SamplingRequest {
         }
         if searches_walls {
             let ends = self.ends(particles, known, &cells)?;
-            // If the caller gave walls, the scene file is not used: only the planes at which the
-            // particles end matter.
+            // If the caller gave walls, `walls_of` uses them instead of the walls of a scene file.
             let scene = from.path.filter(|_| self.walls.is_none());
             let found = ends.map(|ends| self.walls_of(&[ends], scene));
             cells.walls =

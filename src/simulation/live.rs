@@ -201,7 +201,7 @@ impl LiveSimulation {
     }
 
     /// Returns the facts of a frame without particles. Before the first frame with particles, the
-    /// request determines the cell size. If the request sets no cell size, it is 1.
+    /// request determines the cell size if it sets a spacing. Otherwise, the cell size is 1.
     fn facts(&self, census: Census) -> Result<FrameFacts, Error> {
         let request = &self.started.checked.sampling;
         let (grid, spacing) = match &self.known {

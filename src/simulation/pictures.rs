@@ -33,7 +33,7 @@ const PNG: &str = "png";
 const APNG: &str = "apng";
 const KNOWN: &str = ".png, and .apng for an animation";
 /// Width and height, in pixels, of a picture on a contact sheet.
-const SHEET_SIZE: [usize; 2] = [640, 360];
+const SHEET_PICTURE_SIZE: [usize; 2] = [640, 360];
 const ANIMATION_SIZE: [usize; 2] = [960, 540];
 /// Maximum number of pictures on a sheet. With more meshes, evenly spaced ones are drawn.
 const MOST_ON_SHEET: usize = 24;
@@ -256,7 +256,7 @@ impl Pictures {
                     let chosen = (0..MOST_ON_SHEET).map(|n| n * (all - 1) / (MOST_ON_SHEET - 1));
                     frames = chosen.map(|n| frames[n].clone()).collect();
                 }
-                Some(SHEET_SIZE)
+                Some(SHEET_PICTURE_SIZE)
             }
             PictureTarget::Animation(_) => Some(ANIMATION_SIZE),
             PictureTarget::One(_) | PictureTarget::Each(_) => None,

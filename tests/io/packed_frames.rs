@@ -304,7 +304,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
         (8, 4_u32.to_le_bytes().into(), "version 4 of packed frames is not supported, only 1 to 3"),
         (8, 3_u32.to_le_bytes().into(), "the flags of another version"),
         (8, 0_u32.to_le_bytes().into(), "version 0 of packed frames"),
-        (12, 5_u32.to_le_bytes().into(), "bricks of 5 cells"),
+        (12, 5_u32.to_le_bytes().into(), "the edge of a brick is 5 cells"),
         (12, 8_u32.to_le_bytes().into(), "bricks outside of its bin"),
         (footer, f64::NAN.to_le_bytes().into(), "origin"),
         (footer + 24, 0_f64.to_le_bytes().into(), "cell-size"),
@@ -312,7 +312,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
         (footer + 32, 4_u32.to_le_bytes().into(), "need the indicator cloud"),
         (footer + 32, 3_u32.to_le_bytes().into(), "periodic box"),
         (footer + 36, 2_u32.to_le_bytes().into(), "does not decompress to its size"),
-        (footer + 36, 3_u32.to_le_bytes().into(), "indicator 3"),
+        (footer + 36, 3_u32.to_le_bytes().into(), "the indicator is 3"),
         (footer + 36, 0_u32.to_le_bytes().into(), ""),
         (footer + 40, 1e9_f64.to_le_bytes().into(), "invalid domain"),
         (footer + 40, 0_f64.to_le_bytes().into(), "beyond the grid or the walls"),
@@ -334,7 +334,7 @@ fn invalid_values_with_valid_checksums_are_refused() {
         (index + 32, 2_u32.to_le_bytes().into(), "page 0 contains other cells"),
         (index + 36, [15, 15, 15, 17, 16, 16].into(), "not in its bin"),
         (index + 36, [3, 3, 3, 3, 4, 4].into(), "not in its bin"),
-        (index + 42, [1, 0].into(), "field 1 of 1"),
+        (index + 42, [1, 0].into(), "refers to field 1, but the last field is 0"),
     ];
     for (at, patch, expected) in cases {
         let mut bad = good.clone();
@@ -389,12 +389,12 @@ fn packed_sizes_keep_their_bytes_and_damage_to_them_is_detected() {
         (sizes, f64::NAN.to_le_bytes().into(), "the sizes of the particles are invalid"),
         (sizes, 1e308_f64.to_le_bytes().into(), ""),
         (footer + 24, 1e308_f64.to_le_bytes().into(), "no cell centre"),
-        (sizes, 1_f64.to_le_bytes().into(), "of 2"),
+        (sizes, 1_f64.to_le_bytes().into(), "but the last field is 1"),
         (sizes + 8, (-1_f64).to_le_bytes().into(), "the density of the particles is invalid"),
         (sizes + 8, 1e-9_f64.to_le_bytes().into(), "the density of the particles is invalid"),
         (sizes + 8, 1e9_f64.to_le_bytes().into(), "the density of the particles is invalid"),
         (sizes + 8, f64::NAN.to_le_bytes().into(), "the density of the particles is invalid"),
-        (index + 42, 6_u16.to_le_bytes().into(), "field 6 of 6"),
+        (index + 42, 6_u16.to_le_bytes().into(), "refers to field 6, but the last field is 5"),
         (index + 42, 3_u16.to_le_bytes().into(), "not in order"),
     ];
     for (at, patch, expected) in cases {

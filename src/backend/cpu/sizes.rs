@@ -124,9 +124,9 @@ impl<'a> SizedField<'a> {
         let coarser = finest.clone().refining(sheets, spacing_cells);
         let of = |distances: &DistanceFilters| {
             let DistanceFilters { level, near, drops_level, .. } = *distances;
-            // Surfaces are computed on all wide cells that drops can reach. The surfaces and the
-            // density of coarser octaves are interpolated from wide cells. The filters for sizes
-            // and for distances start from these wide cells.
+            // Surfaces are also computed on the surrounding wide cells whose drops can reach the
+            // requested cells. The surfaces and the density of coarser octaves are interpolated
+            // from wide cells. The filters for sizes and for distances start from these wide cells.
             let wide = 2 + 2 * near + distances.widest_halo().max(averaging);
             halo_in_cells(level, wide).max(halo_in_cells(drops_level, 2 + distances.drops_halo()))
         };
@@ -351,9 +351,9 @@ impl<'a> SizedField<'a> {
     }
 
     /// The share of the density around the octave's wide cells `wide` that belongs to coarser
-    /// octaves. A particle of the octave belongs to the next octave in proportion to the logarithm
-    /// of its size. The result is `None` if neither this octave nor a finer octave has particles
-    /// there.
+    /// octaves. A particle of the octave belongs in part to the next octave: its share is log2(s),
+    /// where s is its size divided by the smallest size of the octave. The result is `None` if
+    /// neither this octave nor a finer octave has particles there.
     fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let around = wide.grown(self.averaging.reach(), self.averaging.reach());

@@ -77,7 +77,7 @@ impl PaddedFields<'_> {
         self.grids[grid].free.pop().expect("a recipe needs no more fields than there are")
     }
 
-    /// Marks the buffer of a field as unused, unless another field refers to the buffer.
+    /// Marks the buffer of a field as unused, unless there is another reference to the field.
     fn recycle(&mut self, field: Rc<PaddedSamples>) {
         if let Some(field) = Rc::into_inner(field) {
             self.grids[field.grid].free.push(field.samples);

@@ -147,7 +147,7 @@ impl DeviceFrame {
     }
 
     /// Recovers from a failure. If memory is exhausted, the work continues without fields that stay
-    /// on the device, and after further failures in smaller batches. If batches are already
+    /// on the device or, if there are no such fields, in smaller batches. If batches are already
     /// minimal, or after any other kind of failure, the work continues on the CPU.
     pub(super) fn recover(&self, state: &mut DeviceState, error: &VulkanError) {
         state.lanes.clear();

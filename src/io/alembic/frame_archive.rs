@@ -139,8 +139,8 @@ impl FrameArchive {
     }
 
     /// Adds the frame in file `mesh.file` of the folder, and removes the file. Does nothing if the
-    /// folder contains no file `mesh.file` of `mesh.bytes` bytes, because an earlier call has then
-    /// added the frame.
+    /// folder contains no file `mesh.file` of `mesh.bytes` bytes, because in this case, an earlier
+    /// call has already added the frame.
     ///
     /// `times` must return the times of the given frames, in seconds and in frame order. An archive
     /// with a different `fingerprint` is replaced.

@@ -160,8 +160,8 @@ impl Parts {
         let coincident = engine.coincident();
         let finer_blocks = engine.finer_blocks().cloned().unwrap_or_default();
         drop(engine);
-        let sight = sampling.deciding_cells(indicator, surfacing, sampling.coarsest());
-        let sampled_bins = sampled_bins(&bins, &cuts, sight);
+        let deciding = sampling.deciding_cells(indicator, surfacing, sampling.coarsest());
+        let sampled_bins = sampled_bins(&bins, &cuts, deciding);
         let parts = shares(&bins, &cuts, &sampled_bins);
         let plan = SharedPlan {
             meniscus: env!("CARGO_PKG_VERSION").into(),
@@ -255,11 +255,11 @@ fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
 fn sampled_bins(
     bins: &[(MortonKey, usize)],
     cuts: &[MortonKey],
-    sight: DecidingCells,
+    deciding: DecidingCells,
 ) -> Vec<Vec<u32>> {
     let sampling_parts = |&(bin, _): &(MortonKey, usize)| {
         let mut parts: Vec<usize> =
-            sight.blocks(bin.coord()).map(|block| part_of(cuts, MortonKey::of(block))).collect();
+            deciding.blocks(bin.coord()).map(|block| part_of(cuts, MortonKey::of(block))).collect();
         parts.sort_unstable();
         parts.dedup();
         parts

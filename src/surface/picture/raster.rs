@@ -369,7 +369,7 @@ fn samples(corners: [Corner; 3], axis: usize, of: &Range<i32>) -> [i32; 2] {
 }
 
 /// Minimum number of corners per task.
-const CORNERS_PER_TASK: usize = 1 << 9;
+const LEAST_CORNERS_PER_TASK: usize = 1 << 9;
 
 /// A raster, and the camera whose view is drawn on it.
 #[derive(Clone, Copy)]
@@ -418,7 +418,7 @@ impl ProjectedCorners {
         };
         places
             .par_iter()
-            .with_min_len(CORNERS_PER_TASK)
+            .with_min_len(LEAST_CORNERS_PER_TASK)
             .map(of)
             .unzip_into_vecs(&mut self.at, &mut self.halves);
     }

@@ -321,8 +321,8 @@ impl Passes<'_> {
         for &piece in pieces {
             self.triangles(piece, |cell, triangle| match chunk.local(triangle) {
                 Some(local) => inside.push(local),
-                // `cell` is a dual cell. `corners` are the corners of a box that contains the cells
-                // of the triangle's vertices.
+                // `cell` is a dual cell. `scale.corners` returns two opposite corner cells of a box
+                // that contains the cells of the triangle's vertices.
                 None => sorted.push(self.destination(cell, self.scale.corners(cell)), triangle),
             })?;
         }

@@ -185,8 +185,8 @@ fn blocks() -> Vec<Vec<u8>> {
     .to_vec()
 }
 
-/// Gets the `info` of a file, which the library maps into memory as it does for the program. Also
-/// lists the steps of the file and reads its frame 0. The first byte selects the extension.
+/// Gets the `info` of a file on disk, which the library opens as it does for the program. Also lists
+/// the steps of the file and reads its frame 0. The first byte selects the extension.
 fn run_info(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     let names = [

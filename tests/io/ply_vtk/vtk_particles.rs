@@ -415,7 +415,7 @@ fn inconsistent_cell_counts_are_refused() {
                         &flags,
                         "VERTICES 6 12",
                         huge,
-                        "of one point have 12 numbers",
+                        "vertex cells need two numbers each, but the file has 12",
                     );
                 }
                 _ => assert_refused(

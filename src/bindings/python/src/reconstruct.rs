@@ -29,8 +29,8 @@ use crate::work::{Work, with_progress};
 ///     Use only particles whose ``attributes`` satisfy a condition, such as "Type=1" or
 ///     "age<2.5 and z>0".
 /// spacing, radius : float, optional
-///     Distance between neighbouring particles, or half this distance. Without both keywords, the
-///     spacing is estimated.
+///     Distance between neighbouring particles, or half this distance. If neither keyword is given,
+///     the spacing is estimated.
 /// size : str, optional
 ///     Attribute with the particles' sizes, if the sizes differ; "pscale", "radius" and "spacing"
 ///     are found without this keyword. The attribute's name determines whether its values are
