@@ -71,9 +71,10 @@ const FARTHEST: f64 = 0.75;
 const SAME: f64 = 0.5;
 /// The maximum distance, in spacings, of a scene's wall beyond the plane at which the fluid ends.
 const KEPT: f64 = 2.0;
-/// The same distance for fluid that is too shallow or too uneven to show a plane. Solvers keep
-/// particles up to a spacing away from walls; farther away, such fluid may have a free surface.
-const KEPT_TOUCHED: f64 = 1.0;
+/// The maximum distance, in spacings, of a scene's wall beyond fluid that is too shallow or too
+/// uneven to show a plane. Solvers keep fluid up to a spacing away from walls; farther away, such
+/// fluid may have a free surface.
+const KEPT_TOUCHED: f64 = 1.1;
 /// The minimum number of particles per squared spacing in the shell of a column whose fluid touches
 /// a side.
 const TOUCHING: f64 = 0.5;
