@@ -4,7 +4,7 @@
 use bytesize::ByteSize;
 use meniscus::error::{
     BinError, Error, FrameError, NoEstimate, PartsError, PictureError, ReadFault, Remedy,
-    RereadError, SimulationError, TooFine, VulkanError, WriteFault, shown, significant,
+    RereadError, SimulationError, TooFine, VulkanError, WhyOne, WriteFault, shown, significant,
 };
 use meniscus::{
     Comparison, Condition, EmptyReason, Mixture, SpacingMistake, SpacingSource, SpacingWarning,
@@ -123,6 +123,10 @@ fn advice(error: &Error) -> String {
         Error::Simulation(SimulationError::OtherInputs { .. }) => {
             ", or use --overwrite to replace the existing ones"
         }
+        Error::Simulation(SimulationError::Several {
+            why: WhyOne::Pattern | WhyOne::Names,
+            ..
+        }) => "; --together makes one surface of them",
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
         // If `differing` begins with this text, it names no setting: only the input has changed.
         Error::Simulation(SimulationError::Settings { differing, .. })
@@ -386,6 +390,12 @@ mod tests {
             SimulationError::Steps("sim.h5part".into()).into(),
             SimulationError::Range { first: 5, last: 3 }.into(),
             SimulationError::NoFrameSelected("f_{}.vtk".into()).into(),
+            SimulationError::Several {
+                from: "sim".into(),
+                families: "oil_{} (8 frames), water_{} (8 frames)".into(),
+                why: WhyOne::Pattern,
+            }
+            .into(),
             SimulationError::State { path: state(), what: "expected value".into() }.into(),
             SimulationError::OtherInputs {
                 path: state(),

@@ -284,7 +284,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
             2,
             "several simulations: f_{}.xyz (3 frames), g_{}.xyz (1 frame); name one",
         ),
-        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "into a folder"),
+        (vec!["in/*.xyz", "-o", "out_{}.ply"], 2, "into a folder; --together"),
         (vec!["in", "-o", "out/", "--watch"], 2, "several simulations"),
         (vec!["in", "-o", "out/", "--plan"], 2, "several simulations"),
         (
