@@ -159,7 +159,8 @@ struct ColumnCounts {
     shell: AtomicU64,
     /// Volume of the particles at the depths of a lattice's gap, in steps.
     in_gap: AtomicU64,
-    /// Volume of the particles at the depths that must be full, in steps.
+    /// Volume, in steps, of the particles at the depths [`BEHIND`], where a column must be full to
+    /// count.
     behind: AtomicU64,
     /// The sum of depth times volume over the shell's particles, with both in steps.
     depths: AtomicU64,

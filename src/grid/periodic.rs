@@ -62,7 +62,7 @@ pub enum PeriodicError {
     )]
     Corners,
     /// No axis is periodic.
-    #[error("no axis of the periodic box is periodic; give both ends of at least one axis")]
+    #[error("the box is not periodic along any axis; give both ends of at least one axis")]
     Open,
     /// The domain has walls along a periodic axis.
     #[error(

@@ -70,8 +70,8 @@ pub enum SpacingWarning {
         found: f64,
         /// The likely mistake.
         mistake: Option<SpacingMistake>,
-        /// Whether the particles may be spray or filaments, whose particles are farther apart than
-        /// the spacing.
+        /// Whether the particles may be spray or filaments. In these, particles are farther apart
+        /// than the spacing, so a small given spacing can be right.
         spray: bool,
     },
     /// The fluid is too thin for a reliable estimate.

@@ -286,7 +286,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
     for (options, code, message) in [
         (&["--periodic", "0,-,0,24,-"][..], 2, "6 numbers"),
         (&["--periodic", "0,-,0,-,-,24"], 2, "one end of x is open"),
-        (&["--periodic", "-,-,-,-,-,-"], 2, "no axis of the periodic box is periodic"),
+        (&["--periodic", "-,-,-,-,-,-"], 2, "the box is not periodic along any axis"),
         (&["--periodic", "24,-,0,0,-,24"], 2, "must be finite, and along a periodic axis"),
         (&["--periodic", "0,-,nan,24,-,24"], 2, "must be finite, and along a periodic axis"),
         (&["--periodic", "0,-,0,inf,-,24"], 2, "must be finite, and along a periodic axis"),

@@ -90,7 +90,8 @@ pub struct OctaveDrops<'a> {
 }
 
 impl OctaveDrops<'_> {
-    /// Joins the drops to a field in the finest spacings, on the cells of the shares.
+    /// Joins the drops to `field`, whose distances are in the finest spacings. Changes only the
+    /// cells of the shares.
     ///
     /// # Panics
     /// If the other fields are on different cells, or `field` does not cover them.

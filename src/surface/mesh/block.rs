@@ -72,9 +72,11 @@ impl Tile {
 /// cells.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct TileLevels {
-    /// For each corner, the dual cells whose corner is in a wider cell.
+    /// For each of the 8 corners, the dual cells for which this corner is in a cell wider than the
+    /// tile's own.
     pub wider: [TileMask; 8],
-    /// For each corner, the dual cells whose corner is in a narrower cell.
+    /// For each of the 8 corners, the dual cells for which this corner is in a cell narrower than
+    /// the tile's own.
     pub narrower: [TileMask; 8],
 }
 

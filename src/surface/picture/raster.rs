@@ -344,7 +344,8 @@ fn turn_of(sample: [i32; 2], p: Corner, q: Corner, turn: i64) -> i64 {
     turn * (x * to_y - y * to_x) - lacks
 }
 
-/// A place along an axis with `samples` samples, in half samples.
+/// Converts a coordinate to half samples, plus 2. An odd result is between two samples. The axis
+/// has `samples` samples.
 #[inline(always)]
 fn halves(at: i32, samples: i32) -> u16 {
     let half = 2 * (at >> STEP_BITS) + i32::from(at & (STEPS - 1) != 0);
