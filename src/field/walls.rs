@@ -498,6 +498,11 @@ fn outside(end: usize, at: f64, of: f64) -> f64 {
     if end == 0 { of - at } else { at - of }
 }
 
+/// The coordinate that lies farther out, at the lower or the upper end of a box.
+fn outermost(end: usize, a: f64, b: f64) -> f64 {
+    if outside(end, b, a) > 0.0 { b } else { a }
+}
+
 /// Rounds a wall to a coordinate with few digits, which is easy to copy. This moves the wall
 /// outwards by at most a thousandth of the spacing, and keeps particles up to `reach` inside.
 fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
@@ -559,8 +564,7 @@ fn wall_near_scene(frames: &[Ends], (axis, end): (usize, usize), wall: f64) -> O
     let plane = |frame: &Ends| frame.plane(axis, end).filter(|at| is_near(at, KEPT));
     let touched = |frame: &Ends| frame.touched[axis][end].filter(|at| is_near(at, KEPT_TOUCHED));
     let ends = frames.iter().filter_map(|frame| plane(frame).or_else(|| touched(frame)));
-    let outermost = |a: f64, b: f64| if outside(end, b, a) > 0.0 { b } else { a };
-    match ends.reduce(outermost) {
+    match ends.reduce(|a, b| outermost(end, a, b)) {
         Some(at) => Some(rounded_for(frames, axis, end, at)),
         None if frames.iter().any(|frame| frame.passes(axis, end, wall)) => None,
         None => Some(wall),
@@ -593,8 +597,7 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
 fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacings[axis][end]));
     let holding = reached.filter(|&(at, spacing)| outside(end, at, wall) <= SAME * spacing);
-    let reach =
-        holding.map(|(at, _)| at).fold(wall, |a, b| if outside(end, b, a) > 0.0 { b } else { a });
+    let reach = holding.map(|(at, _)| at).fold(wall, |a, b| outermost(end, a, b));
     rounded(end, reach, reach, spacing_at(frames, axis, end))
 }
 

@@ -230,7 +230,7 @@ impl SamplingRequest {
     /// are none, those of a scene file next to `path`.
     pub fn walls_of(&self, frames: &[Ends], path: Option<&Path>) -> FoundWalls {
         let given = self.walls.map(|corners| Walls::from_corners(corners.map(|at| at.to_array())));
-        let scene = path.filter(|_| given.is_none()).and_then(tank_from_scene);
+        let scene = path.and_then(tank_from_scene);
         let usual = path.filter(|path| usual_up(path) == UpAxis::Z).map(|_| 2);
         let known = given.as_ref().or(scene.as_ref().map(|(walls, _)| walls));
         let (mut walls, by_scene) = common(frames, known, self.up.or(usual));
@@ -308,7 +308,7 @@ impl SamplingRequest {
         }
         if searches_walls {
             let ends = self.ends(particles, known, &cells)?;
-            // If the caller gave walls, `walls_of` uses them instead of the walls of a scene file.
+            // The caller's walls take precedence over those of a scene file.
             let scene = from.path.filter(|_| self.walls.is_none());
             let found = ends.map(|ends| self.walls_of(&[ends], scene));
             cells.walls =

@@ -75,8 +75,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "isovalue from the plateau: distances in spacings over all bodies, positions and rotations; seconds and \
-         triangles of a splash of {} particles, {} threads",
+        "isovalue from the plateau: distances in spacings over all bodies, positions and \
+         rotations; seconds and triangles of a splash of {} particles, {} threads",
         frame.len(),
         rayon::current_num_threads()
     ));

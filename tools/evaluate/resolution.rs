@@ -62,8 +62,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "milliseconds per stage, {} particles of a splash, counting; on the CPU, each stage is measured separately, \
-         and the whole frame in a normal run",
+        "milliseconds per stage, {} particles of a splash, counting; on the CPU, each stage is \
+         measured separately, and the whole frame in a normal run",
         particles.len()
     ));
     detail(options, &particles, side)
@@ -177,7 +177,8 @@ fn detail(options: &Options, particles: &[[f32; 3]], side: f64) -> Outcome<()> {
         ]);
     }
     table.print(&format!(
-        "recovering details: counting, sigma 1.2, {} cells along the longest side, {} particles at spacing 1",
+        "recovering details: counting, sigma 1.2, {} cells along the longest side, {} particles \
+         at spacing 1",
         options.choose(256, 64),
         particles.len()
     ));

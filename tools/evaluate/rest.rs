@@ -41,7 +41,8 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "a level pool rises by one cell in {STEPS} steps: the largest movement of the surface relative to the pool in one step, in cells"
+        "a level pool rises by one cell in {STEPS} steps: the largest movement of the surface \
+         relative to the pool in one step, in cells"
     ));
     Ok(())
 }

@@ -63,15 +63,16 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     surfaces.print(
-        "deviation from the true surface, in spacings, of a level pool and a ball, jittered by 0.3: \
-         the mean (bias), and the RMS around the mean; within: the number of additional components and handles of four \
-         pools, and of the ball",
+        "deviation from the true surface, in spacings, of a level pool and a ball, jittered by \
+         0.3: the mean (bias), and the RMS around the mean; within: the number of additional \
+         components and handles of four pools, and of the ball",
     );
     sheets.print(
         "sheets of jittered particles above a pool: components, holes, mean thickness in spacings",
     );
     drops.print(&format!(
-        "number of components of {} drops above a pool: with fewer components, drops are lost; with more, drops are torn",
+        "number of components of {} drops above a pool: with fewer components, drops are lost; \
+         with more, drops are torn",
         DROPS * DROPS
     ));
     Ok(())

@@ -79,8 +79,9 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(&format!(
-        "a ball moves through a pool in {FRAMES} frames: its distance from the fluid; and the RMS distance between the \
-         surface, moved with the flow, and the surface of the next frame, {} to {} spacings from the ball",
+        "a ball moves through a pool in {FRAMES} frames: its distance from the fluid; and the RMS \
+         distance between the surface, moved with the flow, and the surface of the next frame, {} \
+         to {} spacings from the ball",
         NEAR[0], NEAR[1]
     ));
     Ok(())

@@ -110,9 +110,10 @@ pub fn run(options: &Options) -> Outcome<()> {
         }
     }
     table.print(
-        "seconds per frame, from particles in memory to a mesh in memory: mean and standard deviation over frames of a \
-         splash with this number of cells along its longest side; volume: the mesh's, divided by the particles'; paper: \
-         the paper's seconds for its own scenes, on one core of a Ryzen 9 3950X",
+        "seconds per frame, from particles in memory to a mesh in memory: mean and standard \
+         deviation over frames of a splash with this number of cells along its longest side; \
+         volume: the mesh's, divided by the particles'; paper: the paper's seconds for its own \
+         scenes, on one core of a Ryzen 9 3950X",
     );
     Ok(())
 }

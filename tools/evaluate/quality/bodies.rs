@@ -68,7 +68,8 @@ pub fn methods(options: &Options, programs: &[Program]) -> Outcome<Vec<Method>> 
     };
     let mut methods = Vec::new();
     println!(
-        "isovalues: mean distance of a sphere and a torus that are in no other table, in spacings:\n"
+        "isovalues: mean distance of a sphere and a torus that are in no other table, in \
+         spacings:\n"
     );
     for program in programs {
         methods.push(program.documented());

@@ -80,7 +80,8 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         }),
     };
     board.table(
-        "chains of 8 single particles that leave a bulk: 1 component means a whole chain, mean of 6",
+        "chains of 8 single particles that leave a bulk: 1 component means a whole chain, mean of \
+         6",
         vec![chains],
     )?;
 
@@ -103,7 +104,11 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
     };
     let beside = cells.iter().map(|&cell| of_drops(true, cell));
     let lines = [None].map(|cell| of_drops(false, cell)).into_iter().chain(beside).collect();
-    board.table("49 drops of 1, 2 and 8 particles: components; least, mean and greatest volume of a drop, relative to its particles'", lines)?;
+    board.table(
+        "49 drops of 1, 2 and 8 particles: components; least, mean and greatest volume of \
+         a drop, relative to its particles'",
+        lines,
+    )?;
 
     let air_row = |radius: f64| format!("radius {radius}: kept of {BALLS}, relative volume");
     let air = Line {

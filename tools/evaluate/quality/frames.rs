@@ -163,7 +163,8 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame], given: &[Frame]) -> 
         });
     }
     board.table(
-        "water of simulations: roughness is relative to heights smoothed by a Gaussian of 3 spacings",
+        "water of simulations: roughness is relative to heights smoothed by a Gaussian of 3 \
+         spacings",
         lines,
     )?;
 

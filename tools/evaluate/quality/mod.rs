@@ -41,10 +41,10 @@ pub enum Part {
 }
 
 pub fn run(options: &Options) -> Outcome<()> {
-    let table = options
-        .methods
-        .as_ref()
-        .ok_or("the topic quality needs --methods TABLE; run tools/compare/quality, which writes the table")?;
+    let table = options.methods.as_ref().ok_or(
+        "the topic quality needs --methods TABLE; run tools/compare/quality, which writes \
+         the table",
+    )?;
     let programs = programs::read(table)?;
     std::fs::create_dir_all(&options.out)?;
     let board = Board::new(bodies::methods(options, &programs)?)?;

@@ -80,8 +80,9 @@ pub fn run(options: &Options, board: &Board, dam: &[Frame]) -> Outcome<()> {
     });
     let lines = pools.into_iter().chain(moving).collect();
     board.table(
-        "stability, with each frame reconstructed separately: a level pool that rises by a cell in 8 \
-         steps, relative to the rise; and water whose particles move by 0.1 spacings per step",
+        "stability, with each frame reconstructed separately: a level pool that rises by a cell \
+         in 8 steps, relative to the rise; and water whose particles move by 0.1 spacings per \
+         step",
         lines,
     )
 }

@@ -43,8 +43,9 @@ pub fn run(options: &Options, board: &Board) -> Outcome<()> {
         table.row([format!("cells {cell}")].into_iter().chain(seconds.iter().map(text)));
     }
     table.show(&format!(
-        "seconds from file to file for {} particles in random order, with {threads} threads; the faster of two \
-         runs if the first takes less than {LONG} s; in brackets, relative to the first program",
+        "seconds from file to file for {} particles in random order, with {threads} threads; the \
+         faster of two runs if the first takes less than {LONG} s; in brackets, relative to the \
+         first program",
         particles.len()
     ));
     Ok(())
