@@ -1,6 +1,6 @@
 // One axis of a separable operation, which a shader defines by its functions `weight_of` and
-// `with_tap`. Samples are mirrored at walls. A thread computes a run of 4 pairs (RUN) along the
-// axis, so that it reads each sample once for all pairs.
+// `with_tap`. Samples are mirrored at walls. A thread computes a run of RUN pairs of cells along
+// the axis, so that it reads each sample once for all pairs.
 
 struct AxisPush {
     // The planes of the mirrors, in halves of a cell.

@@ -13,7 +13,8 @@ struct Full {
 }
 
 struct FullCellsPush {
-    // The number of low bits of a cell's coordinate within its contiguous piece.
+    // The number of low bits of a cell's coordinate within its piece. A piece is a brick or, if
+    // there are no ghost layers, a bin. A piece is stored contiguously.
     piece_bits: u32,
     // The width of the ghost layer around each piece.
     ghost_layer: u32,

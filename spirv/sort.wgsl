@@ -1,5 +1,5 @@
-// Moves each packed particle of a chunk to its bin, if the bin belongs to this run: one thread per
-// particle.
+// Moves each packed particle of a chunk to its bin, if the bin belongs to this run (the bins that
+// are sorted together): one thread per particle.
 
 struct SortPush {
     // Particles of the chunk.

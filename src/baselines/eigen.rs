@@ -3,7 +3,7 @@
 
 use glam::{DMat3, DVec3};
 
-/// Number of sweeps. Convergence is quadratic, so far fewer sweeps suffice.
+/// Number of sweeps. Convergence is quadratic, so 12 sweeps are more than enough.
 const SWEEPS: usize = 12;
 
 /// The eigenvalues of a symmetric matrix, and its unit eigenvectors as the columns of a matrix, in

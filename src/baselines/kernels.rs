@@ -17,11 +17,11 @@ use crate::system::scratch::Lists;
 use super::neighbours::{NeighbourGrid, places};
 use super::scheme::Scheme;
 
-/// Maximum number of particles in a batch whose kernels are computed in parallel, unless a single
-/// bin has more.
+/// Maximum number of particles in a batch, unless a single bin has more. The kernels of a batch are
+/// computed in parallel.
 const BATCH: usize = 1 << 17;
-/// Number of cells beyond a block that its mesh and the mesh's normals need: one for the upper
-/// corners of the dual cells, and one more on all sides for normals.
+/// Width, in cells, of the margin around a block in which its mesh may need the field: one cell for
+/// the upper corners of the dual cells, and one more cell for normals.
 const MARGIN: i32 = 2;
 
 /// The field that a kernel method makes for a frame, ready to be meshed block by block.
@@ -30,7 +30,7 @@ pub trait KernelField: Debug + Send + Sync {
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox>;
 
     /// The surface through a region; `None` if no surface passes through it. Cells outside `walls`
-    /// are ghost points.
+    /// are ghost points, which mirror the cells inside.
     ///
     /// # Errors
     /// If kernels are in a scratch file that cannot be read.
@@ -49,7 +49,7 @@ pub(super) struct Kernels<S: Scheme> {
     /// The kernels of each bin, in the order of its particles.
     kernels: Lists<S::Kernel>,
     bins: Vec<ReachedCells>,
-    /// For each block, the bins whose kernels reach the block or its margin, in order.
+    /// For each block, the bins whose kernels reach the block or its margin, in Morton order.
     by_block: HashMap<IVec3, Vec<u32>>,
 }
 
@@ -167,7 +167,7 @@ fn centres(place: DVec3, reach: DVec3, corner: IVec3) -> CellBox {
 impl<S: Scheme> KernelField for Kernels<S> {
     fn regions(&self, walls: Option<CellBox>) -> Vec<CellBox> {
         // A dual cell extends one cell up from its lowest corner, so the lowest dual cells that
-        // contain a reached cell begin one cell below it.
+        // contain a reached cell begin one cell below the reached cell.
         let within = walls.map(|walls| walls.grown(1, 0));
         let cut = |cells: CellBox| within.map_or(cells, |within| cells.intersection(&within));
         let reached = self.bins.iter().map(|reached| cut(reached.cells.grown(1, 0)));

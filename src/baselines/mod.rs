@@ -1,5 +1,5 @@
 //! The kernel methods that the paper compares against (section 3). They use the same bins, dual
-//! grid and stitching as discrete indicator functions.
+//! grid and stitching as discrete indicator functions (DIFs).
 //!
 //! Each method sums contributions of the particles around the centre of a cell. The contribution of
 //! a particle is its kernel, which is computed once from the particles around it. The field of a
@@ -72,7 +72,8 @@ impl KernelMethod {
     }
 
     /// The distance, in cells, within which a particle affects the field: through its own kernel,
-    /// and through the kernels of its neighbours, which depend on it. `spacing` is in cells.
+    /// and through the kernels of its neighbours, which depend on the particle. `spacing` is in
+    /// cells.
     #[must_use]
     pub fn reach(self, spacing: f64) -> i32 {
         let support = Spacing::SUPPORT * spacing;

@@ -16,7 +16,7 @@
 //! k_r = 4, k_n = 0.5 and N_e = 25 are from their paper. Their lambda is 0.9, but since h is two
 //! spacings here, 0.9 would move the particles of a flat surface inwards by more than a spacing.
 //! Therefore lambda is 1/2, as in the implementation that the DIF paper compares with (Kim, Fluid
-//! Engine Development, 2016). Their k_s makes k_s C about the identity deep in the fluid, so it
+//! Engine Development, 2016). Their k_s makes k_s C about the identity deep in the fluid, so k_s
 //! depends on the unit of length. Here, k_s follows from a uniform density, for which C is 0.15 R^2
 //! times the identity.
 
@@ -27,7 +27,8 @@ use super::mueller::density;
 use super::neighbours::NeighbourGrid;
 use super::scheme::{Scheme, Spacing, weight};
 
-/// The fraction of the way by which a centre moves towards the mean of its neighbours.
+/// The centre of a kernel moves this fraction of the way from the particle to the mean of the
+/// particle's neighbours.
 const LAMBDA: f64 = 0.5;
 /// Maximum ratio of a kernel's length to its width.
 const K_R: f64 = 4.0;

@@ -27,8 +27,9 @@ use super::cubes::{BinCode, CUBE, bin_coord};
 use super::place::{BinSieve, CHUNK, Placer};
 use super::slots::{Record, Slots};
 
-/// Maximum number of bins that a range of particles may touch if its places are kept. The free bits
-/// of a place's record hold the rank of a bin; the greatest rank stands for no bin.
+/// Maximum number of bins that a range of particles may touch if the places of its particles are
+/// kept. A place is one word: the packed position of a particle and, in the otherwise free bits,
+/// the rank of the particle's bin. The greatest rank stands for no bin.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
 /// The memory limits of counting.
@@ -62,8 +63,8 @@ impl CountingRoom {
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
 }
 
-/// The treatment of particles with a coordinate that is not finite, or beyond the grid or the
-/// periodic box.
+/// The treatment of particles with a coordinate that is not finite, or that lies beyond the grid or
+/// the periodic box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
     /// Return an error that names the first invalid particle.

@@ -11,8 +11,8 @@ use crate::system::scratch::Scratch;
 
 use super::slots::{Record, Slots};
 
-/// Number of bits per axis in a packed particle, for its offset in the cell and its cell in the
-/// bin.
+/// Number of bits per axis in a packed particle: the bits of its offset in the cell, plus the bits
+/// of its cell's coordinate in the bin.
 pub const AXIS_BITS: u32 = FRACTION_BITS + BIN.ilog2();
 /// Number of bits in a packed particle; the other bits of its 64-bit word are free.
 pub const RECORD_BITS: u32 = 3 * AXIS_BITS;
@@ -36,7 +36,8 @@ pub struct Bins {
     pub(super) store: ParticleStore,
 }
 
-/// The storage of the particles. The records and each attribute are stored separately.
+/// The storage of the particles. The packed particles (`records`) and each attribute are stored
+/// separately.
 #[derive(Debug)]
 pub(super) enum ParticleStore {
     Memory { records: Vec<Record>, attributes: Vec<Vec<f32>> },
@@ -216,7 +217,8 @@ impl Bins {
     }
 }
 
-/// Packs the low bits of a particle's steps: the cell in the bin, and the offset in the cell.
+/// Packs the low bits of a particle's position, which is given in steps of 1 / `FRACTIONS` of a
+/// cell: the cell in the bin, and the offset in the cell.
 #[inline(always)]
 pub(super) fn pack(steps: [i64; 3]) -> Record {
     let [x, y, z] = steps.map(|s| s as u64 & ((1 << AXIS_BITS) - 1));

@@ -39,9 +39,10 @@ impl<'a, T: Copy + Default> Iterator for BlockRows<'a, T> {
     }
 }
 
-/// Splits the cells of `part` into runs. The samples of each run are consecutive in the blocks on
-/// all of the `boxes`. A run is one row along x, or several short rows if these are consecutive in
-/// all of these blocks. Returns the length of the runs, in samples, and the first cell of each run.
+/// Splits the cells of `part` into runs. In a block whose cells are any of the `boxes`, the samples
+/// of each run are consecutive. A run is one row along x, or several short rows if these are
+/// consecutive in the blocks of all `boxes`. Returns the length of the runs, in samples, and the
+/// first cell of each run.
 ///
 /// # Panics
 /// If one of the `boxes` does not cover `part`.

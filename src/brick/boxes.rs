@@ -16,7 +16,8 @@ use super::bins::AXIS_BITS;
 /// vector width.
 const LANES: usize = 8;
 
-/// A wrapper of particles that records the bounding box of each chunk while the particles are read.
+/// A wrapper around particles. While the particles are read, it records the bounding box of each
+/// chunk.
 #[derive(Debug)]
 pub struct WithBoxes<'a> {
     particles: &'a dyn Particles,

@@ -217,8 +217,8 @@ impl DifField {
         }
         let halving = Halving { fine: Arc::clone(self), mirror, factor, bins, kept: None };
         let page = |&bin: &IVec3| PageInfo::from_dense(bin, &halving.dense(bin), HALVED);
-        // The wide field has about an eighth of the finer field's cells. Its cache is a quarter as
-        // large.
+        // The wide field has about an eighth of the finer field's cells. It gets a cache that is a
+        // quarter as large as the cache of the finer field.
         let share = self.cache_bytes().map(|bytes| bytes / 4);
         let most = (halving.bins.len() * HALVED.bin_samples() * size_of::<u16>()) as u64;
         match share.filter(|&share| share < most) {

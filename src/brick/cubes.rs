@@ -45,7 +45,8 @@ pub(super) fn bin_of_cube(cube: BinCode, number: usize) -> BinCode {
 /// A direct-mapped cache for cubes. Of all cubes that share a slot, it stores the most recently
 /// used one.
 pub(super) struct CubeCache<T> {
-    /// The number of low bits of each coordinate of a cube that index the cache.
+    /// The number of low bits that each coordinate of a cube contributes to the index of the cube's
+    /// slot.
     bits: u32,
     cubes: Vec<(BinCode, T)>,
 }

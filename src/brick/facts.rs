@@ -12,7 +12,7 @@ pub struct FrameFacts {
     /// Walls, if the fluid is in a tank.
     pub domain: Option<Domain>,
     /// The periodic box, if there is one. Binning includes the images of the particles, which lie
-    /// beyond its faces.
+    /// beyond the faces of the box.
     pub periodic: Option<Periodic>,
     /// Numbers of binned and skipped particles, not counting images.
     pub census: Census,

@@ -236,8 +236,8 @@ impl DifField {
         self.rank.contains_key(&bin)
     }
 
-    /// The sample of a cell for each number of particles. The last entry, 1, also applies to all
-    /// larger numbers. `None` if the stored samples are the DIF.
+    /// The sample of a cell for each number of particles. The last entry, which represents 1, also
+    /// applies to all larger numbers. `None` if the stored samples are the DIF.
     pub fn decode_table(&self) -> Option<&[u16]> {
         match &self.stored {
             SampleMeaning::Counts(table) => Some(&table.0),
@@ -337,8 +337,8 @@ impl SampleMeaning {
     }
 }
 
-/// The sample of a cell for each number of particles. The last entry, 1, also applies to all larger
-/// numbers.
+/// The sample of a cell for each number of particles. The last entry, which represents 1, also
+/// applies to all larger numbers.
 #[derive(Debug)]
 struct DecodeTable(Box<[u16]>);
 

@@ -181,9 +181,10 @@ impl Images<'_> {
         images
     }
 
-    /// Calls `take` for each group with any of the images `first..first + count`. The arguments of
-    /// `take` are the range of the group's particles; for each of these images, the index of its
-    /// particle within the group; and the positions of these images.
+    /// Calls `take` for each group that has any of the images `first..first + count`. The first
+    /// argument of `take` is the range of the group's particles. The second lists, for each of
+    /// these images, the index of its particle within the group. The third lists the positions of
+    /// these images.
     fn groups(
         &self,
         particles: &dyn Particles,

@@ -10,13 +10,14 @@ use crate::grid::{BIN, CellBox, MortonKey, local_from_morton, local_morton};
 use super::samples::take_sparse;
 use super::{PageSamples, PageShape};
 
-/// The description of a page, which is always in memory; its samples may be stored elsewhere.
+/// The description of a page. The description is always in memory; the samples of the page may be
+/// stored elsewhere.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct PageInfo {
     /// The key of the page's bin.
     pub key: MortonKey,
     /// A bit for every stored brick, at the brick's Morton index in the bin. Only bricks with a
-    /// full cell of their own are stored.
+    /// full cell of their own (outside the ghost layer) are stored.
     pub bricks: u64,
     /// The tightest box around the bin's full cells, in grid coordinates.
     pub full: CellBox,
@@ -107,8 +108,8 @@ impl PageInfo {
     }
 
     /// Describes the page with these stored `samples`; returns `None` if the page is invalid. A
-    /// valid page has at least one brick, each of its bricks has a full cell that belongs to the
-    /// bin, not to the ghost layer, and all nonzero samples lie in the box around the bin's full
+    /// valid page has at least one brick. Each of its bricks has a full cell that belongs to the
+    /// bin rather than to the ghost layer. All nonzero samples lie in the box around the bin's full
     /// cells, extended by the width of the ghost layer.
     ///
     /// # Panics

@@ -1,4 +1,4 @@
-//! Finds the bin and the record of each particle, chunk by chunk.
+//! Finds the bin and the record (the packed position) of each particle, chunk by chunk.
 
 use std::ops::Range;
 

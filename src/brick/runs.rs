@@ -1,4 +1,4 @@
-//! The second reading, for particles that do not fit into memory: counted particles go into runs of
+//! The second reading of particles that do not fit into memory: counted particles go into runs of
 //! bins, and runs are sorted one by one.
 
 use std::io;

@@ -42,7 +42,8 @@ impl Slots {
         }
     }
 
-    /// Returns the records and the values of each attribute. All threads must be done.
+    /// Returns the records and the values of each attribute. All threads that fill slots must have
+    /// finished.
     pub(super) fn into_parts(self) -> (Vec<Record>, Vec<Vec<f32>>) {
         let plain = |bits: Vec<AtomicU32>| {
             bits.into_iter().map(|x| f32::from_bits(x.into_inner())).collect()

@@ -64,8 +64,8 @@ impl RunParticles {
 /// The memory that pieces may take.
 #[derive(Debug)]
 struct SpillBudget {
-    /// Maximum bytes of the pieces and of the data that a visitor keeps from the runs that it has
-    /// received so far.
+    /// Maximum sum of the bytes of the pieces, and the bytes of the data that a visitor keeps from
+    /// the runs that it has received so far.
     most: u64,
     /// Bytes that pieces take.
     taken: AtomicU64,
@@ -189,8 +189,8 @@ impl SpilledBins {
     fn drain(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         for run in 0..self.runs.len() {
             let kept = take(&self.sorted(run)?)?;
-            // The next run adds about as much kept memory as the average run so far. Twice the
-            // average allows for larger runs.
+            // For the next run, `take` keeps about as much memory as for the average run so far.
+            // Reserving twice the average allows for larger runs.
             let reserved = kept.saturating_add(2 * kept / (run as u64 + 1));
             self.limit_memory(self.memory.most.saturating_sub(reserved))?;
         }

@@ -16,7 +16,7 @@ pub enum PartsError {
         /// The maximum.
         most: u32,
     },
-    /// A part number beyond the last part.
+    /// A part number that is greater than the number of the last part.
     #[error("the part number must be from 0 to {last}, got {part}", last = of - 1)]
     NoPart {
         /// The part's number.

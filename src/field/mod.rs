@@ -1,5 +1,5 @@
 //! The computation of the field from particles: indicators, filters, the recipe that combines them,
-//! and the calibration of the level at which the surface lies.
+//! and the calibration, which measures the parameters that depend on the frame.
 //!
 //! Each stage with shaders is a folder: `mod.rs` states the formula and the guarantees, `cpu.rs`
 //! evaluates the formula on the CPU, and `vulkan.rs` runs the stage's shaders.

@@ -18,7 +18,7 @@ use crate::grid::{BLOCK, CellBox};
 pub enum Detail {
     /// Details stay lost.
     Smoothed,
-    /// Details are recovered as in section 6.2: see [`detail`](crate::field::detail).
+    /// Details are recovered as in section 6.2 of the paper: see [`detail`](crate::field::detail).
     Recovered,
 }
 
@@ -233,8 +233,8 @@ pub fn surfaces_and_bulk<F: Fields>(
     Ok(([calm, fine], WideFields { bulk, outlying }))
 }
 
-/// The field, computed from the wide fields and, where drops are possible, from drops on the cells
-/// of the drops' level.
+/// The field, computed from the wide fields and, where drops are possible, from drops on cells of
+/// [`drops_level`](DistanceFilters::drops_level).
 pub fn joined<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -257,8 +257,8 @@ pub fn joined<F: Fields>(
     fields.joined(bulk, near, ThinShares { shares, certainty }, (drops, stands_out))
 }
 
-/// Computes the shares of drops, blended with the shares of sheets, in the cells of the drops'
-/// level.
+/// Computes the shares of drops, blended with the shares of sheets, on cells of
+/// [`drops_level`](DistanceFilters::drops_level).
 pub fn thin_shares<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -284,8 +284,8 @@ pub fn with_drops<F: Fields>(
     Ok(ThinShares { shares, certainty: Some(certainty) })
 }
 
-/// Computes sheets on the cells of the drops' level, from the density on wide cells; `None` if
-/// there are no sheets.
+/// Computes sheets on cells of [`drops_level`](DistanceFilters::drops_level), from the density on
+/// wide cells; `None` if there are no sheets.
 pub fn sheets<F: Fields>(
     distances: &DistanceFilters,
     fields: &mut F,
@@ -389,8 +389,8 @@ pub trait Fields {
         begin: u16,
     ) -> Result<(), Self::Error>;
 
-    /// Interpolates a field of wider cells at the middles of the cells of `level` around the
-    /// requested cells.
+    /// Interpolates a field of wider cells at the middles of the cells that are 2^`level` times as
+    /// wide as the requested cells and surround them.
     fn refined(&mut self, wide: Self::Field, level: u32) -> Result<Self::Field, Self::Error>;
 
     /// Whether particles can stand out in any requested cell, according to `near`, whose cells are
@@ -398,7 +398,7 @@ pub trait Fields {
     /// particles can stand out.
     fn narrowed(&mut self, near: &Self::Field, level: u32, begin: u16) -> bool;
 
-    /// Clouds divided by the clouds around them, which are the clouds smoothed by `around`.
+    /// The density of clouds, divided by the same density after smoothing by `around`.
     fn quotient(
         &mut self,
         clouds: Self::Field,

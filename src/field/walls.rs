@@ -12,11 +12,11 @@
 //! The outermost layer of a lattice is half a spacing inside the wall; disordered particles reach
 //! the wall. One formula covers both cases. Let n be the number of particles per squared spacing in
 //! the outermost shell, and m their mean depth below the plane. If fluid of one particle per cubed
-//! spacing ends at the wall, their mean position is n/2 spacings inside the wall, for whole layers
-//! and for disordered particles, so the wall is n/2 - m spacings beyond the plane. Solvers push
-//! particles back at the wall, so particles pile up there, more densely than in full fluid. A gap
-//! behind the outermost layer distinguishes a layer from such a pile; without a gap, n is limited
-//! to its value in full fluid.
+//! spacing ends at the wall, the mean position of these particles is n/2 spacings inside the wall,
+//! for whole layers and for disordered particles, so the wall is n/2 - m spacings beyond the plane.
+//! Solvers push particles back at the wall, so particles pile up there, more densely than in full
+//! fluid. A gap behind the outermost layer distinguishes a layer from such a pile; without a gap, n
+//! is limited to its value in full fluid.
 //!
 //! If particles have several sizes, each counts with its volume, and the spacing at a side is the
 //! size that occupies most of the area there. Much coarser particles do not count, so columns of
@@ -69,17 +69,18 @@ const FARTHEST: f64 = 0.75;
 /// The maximum distance, in spacings, between walls of several frames that count as the same wall.
 /// It is also the maximum distance of particles beyond a wall for which the wall is moved.
 const SAME: f64 = 0.5;
-/// The maximum distance, in spacings, of a scene's wall beyond the plane at which the fluid ends.
+/// A scene's wall is moved to the plane at which the fluid ends if it is at most this far beyond
+/// the plane, in spacings.
 const KEPT: f64 = 2.0;
-/// The maximum distance, in spacings, of a scene's wall beyond fluid that is too shallow or too
-/// uneven to show a plane. Solvers keep fluid up to a spacing away from walls; farther away, such
-/// fluid may have a free surface.
+/// A scene's wall is moved to the end of fluid that is too shallow or too uneven to show a plane if
+/// it is at most this far beyond that end, in spacings. Solvers keep fluid up to a spacing away
+/// from walls; farther away, such fluid may have a free surface.
 const KEPT_TOUCHED: f64 = 1.1;
 /// The minimum number of particles per squared spacing in the shell of a column whose fluid touches
 /// a side.
 const TOUCHING: f64 = 0.5;
-/// The minimum number of columns that show where shallow fluid ends. A wall at this place must be
-/// known from elsewhere.
+/// The minimum number of columns that show where shallow fluid ends. This place is used only if a
+/// scene has a wall near it.
 const FEWEST_TOUCHING: usize = 8;
 /// The maximum volume, in cubed spacings, of the particles in a shell that holds only stray drops.
 const FEW: f64 = 32.0;
@@ -521,10 +522,10 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
 ///
 /// With one frame, its planes are the walls. With several frames, a side has a wall under three
 /// conditions: at least two frames, and at least a third of all frames, show a wall at the same
-/// place; fewer frames have a ragged end at that place; and no frame has more than stray drops
-/// beyond the wall. The top is open unless a scene has a wall there. The top is the upper side of
-/// the axis `up`, if that is known; otherwise the upper side of y, if both y and z have a wall at
-/// the upper side. Also returns whether the scene's walls fit the particles.
+/// place; fewer frames have a ragged end at that place than show the wall; and no frame has more
+/// than stray drops beyond the wall. The top is open unless a scene has a wall there. The top is
+/// the upper side of the axis `up`, if that is known; otherwise the upper side of y, if both y and
+/// z have a wall at the upper side. Also returns whether the scene's walls fit the particles.
 pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
     let fits = |scene: &&Walls| {
         let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);

@@ -17,7 +17,7 @@ pub struct CoincidentParticles {
     pub most: u64,
     /// The position with the most particles.
     pub at: [f64; 3],
-    /// Whether no other particle is near that position.
+    /// Whether the bin of that position, and all adjacent bins, contain no other particle.
     pub alone: bool,
 }
 
@@ -30,14 +30,14 @@ pub struct CoincidentCounts {
     record: u64,
 }
 
-/// Number of bits of the hash that finds records which may occur twice.
+/// Number of bits of the hash that finds records (packed particles) which may occur twice.
 const BITS: u32 = 13;
 /// Maximum number of a bin's records for which the hash is used. Among more records, too many
 /// different records have equal hashes.
 const MOST_HASHED: usize = 1 << (BITS - 1);
 
 impl CoincidentCounts {
-    /// Counts the coincident particles among the records of a bin.
+    /// Counts the coincident particles of a bin. `records` has the packed particles of the bin.
     #[must_use]
     pub fn among(bin: IVec3, records: &[u64]) -> Self {
         let mut candidates = if records.len() <= MOST_HASHED {

@@ -38,7 +38,7 @@ pub enum FrameError {
     /// The frame does not fit into its memory budget.
     #[error(transparent)]
     OverBudget(#[from] OverBudget),
-    /// mu0 could not be measured.
+    /// mu0, the mean number of particles in full cells, could not be measured.
     #[error(transparent)]
     MeanCount(#[from] NoMeanCount),
     /// The field does not locate the surface precisely enough.
@@ -54,7 +54,7 @@ pub enum FrameError {
         /// The isovalue, given or measured.
         iso: Isovalue,
     },
-    /// No cell's centre is inside the surface of the clouds.
+    /// No cell's centre is inside the fluid, according to the cloud indicator.
     #[error("the surface is empty: {}", no_centre(*at_solids))]
     NoDistanceSurface {
         /// Whether the fluid ends at solids, which may cover all of it.
@@ -83,7 +83,7 @@ pub enum FrameError {
     #[error(
         "the packed or sampled frame has copies of particles only up to {there} cells beyond the \
          faces of its periodic box, but these settings need {needed} cells; use less smoothing, or \
-         pack or sample the particles again with these settings"
+         make the surface from the particles with these settings"
     )]
     FewImages {
         /// The reach, in cells, of the filters beyond a face.
@@ -197,7 +197,7 @@ fn explain(census: &Census) -> String {
     let have = if not_finite == 1 { "has a position that is" } else { "have positions that are" };
     let counts = [
         (not_finite, format!("{have} not finite")),
-        (too_far, format!("{} beyond the grid", are(too_far))),
+        (too_far, format!("{} too far from the origin of the grid", are(too_far))),
         (outside, format!("{} outside the domain or the periodic box", are(outside))),
     ];
     let counts = counts.iter().filter(|(count, _)| *count > 0);
@@ -209,7 +209,7 @@ fn explain(census: &Census) -> String {
     }
 }
 
-/// The grammatical object of a message that all components of a surface were removed.
+/// The grammatical object of a message that says that all components of a surface were removed.
 fn all_components(small: &TooSmall) -> String {
     match small.total() {
         1 => "its only component".into(),

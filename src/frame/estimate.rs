@@ -28,8 +28,8 @@ const THREAD: u64 = 3 << 18;
 /// Minimum number of blocks that each thread meshes before the surfaces of these blocks are passed
 /// on.
 pub const BLOCKS_PER_THREAD: usize = 2;
-/// Maximum memory, in bytes, of the blocks that get wide attributes at the same time, unless a
-/// single block needs more.
+/// Maximum memory, in bytes, of the blocks that get wide attributes (attributes with many
+/// components) at the same time, unless a single block needs more.
 pub const CARRIED_BYTES: u64 = 8 << 20;
 
 /// The minimum budget.
@@ -116,7 +116,7 @@ pub struct MemoryShares {
 /// An error: the frame does not fit into its memory budget.
 #[derive(Debug, Clone, Copy, PartialEq, Error)]
 #[error(
-    "with a cell size of {}, the tables for sorting the particles alone exceed the memory limit of \
+    "with a cell size of {}, even the tables for sorting the particles exceed the memory limit of \
      {}; use a cell size of at least {}",
     shown(*cell_size), ByteSize(*budget), shown(*fitting_cell_size)
 )]
@@ -130,7 +130,7 @@ pub struct OverBudget {
 }
 
 impl Extraction {
-    /// Bytes of a vertex, without its share of a tile.
+    /// Bytes of a vertex, without the bytes of its tile.
     fn vertex_bytes(&self) -> u64 {
         vertex_bytes(self.normals, &self.components)
     }

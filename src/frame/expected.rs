@@ -5,7 +5,7 @@
 //! change between outside and inside along all lines of the grid. Bins show where the fluid along a
 //! line begins and ends, so the number of vertices at the face between two bins is the number of
 //! cells in the face times the difference in fullness. A layer that is thinner than a bin begins
-//! and ends within the bin. The estimate therefore uses the square root of the filled share of a
+//! and ends within the bin. The estimate therefore uses the square root of the filled fraction of a
 //! bin, which gives more vertices for such layers. Drops that are much smaller than a bin are
 //! counted by their particles.
 //!
@@ -59,7 +59,7 @@ impl ExpectedVertices {
     }
 }
 
-/// The filled share of each bin that contains particles.
+/// The filled fraction of each bin that contains particles.
 type Shares = HashMap<IVec3, f32>;
 
 /// Number of vertices around a single particle. For a ball with a radius of 0.55 spacings, it is 6
@@ -73,14 +73,15 @@ pub(super) fn full_bin(spacing_cells: f64) -> f64 {
     (f64::from(BIN) / spacing_cells).powi(3)
 }
 
-/// If a bin has at least this share of the particles of a full bin, it is assumed to contain
-/// particles of the finest octave. A bin full of particles that are twice as large has a share of
-/// an eighth.
+/// If a bin has at least this fraction of the particles of a full bin, it is assumed to contain
+/// particles of the finest octave. A bin that is full of particles of twice the size has an eighth
+/// of the particles.
 const FINEST: f64 = 0.3;
 
 /// The expected surface of particles whose sizes span several octaves, in the bins for which
-/// `meshed` is true. A bin belongs to an octave if it is too full for coarser particles alone, and
-/// its surface is in cells of that octave. `spacing_cells` is the smallest size.
+/// `meshed` is true. A bin belongs to an octave if it is too full to contain only coarser
+/// particles. The vertices of its surface are counted in cells of that octave. `spacing_cells` is
+/// the smallest size, in cells.
 pub(super) fn surface_of_octaves(
     bins: impl Iterator<Item = (MortonKey, usize)>,
     octaves: usize,

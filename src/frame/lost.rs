@@ -1,5 +1,5 @@
-//! Particles outside the surface: sparse spray that smoothing removes, or for which cells are too
-//! coarse.
+//! Particles outside the surface: sparse spray that smoothing removes, or spray for which the cells
+//! are too coarse.
 //!
 //! A tile that the surface does not pass through is completely inside or outside. Along a row of
 //! tiles, inside and outside alternate only at tiles that the surface passes through, so one pass
@@ -20,8 +20,8 @@ use crate::surface::stitch::StitchedSurface;
 
 use super::coincident::{CoincidentCounts, CoincidentParticles};
 
-/// Number of tiles per bin along an axis. A tile has the same number of cells along an axis, so a
-/// mask for the cells of a tile also fits the tiles of a bin.
+/// Number of tiles per bin along an axis. It equals the number of cells per tile along an axis.
+/// Therefore, a mask for the cells of a tile also fits the tiles of a bin.
 const SIDE: i32 = BIN / TILE;
 const _: () = assert!(SIDE == TILE);
 

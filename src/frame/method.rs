@@ -9,7 +9,8 @@ use crate::grid::units::MeanCount;
 /// A method that computes a field from particles, chosen before the particles are read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Method {
-    /// A discrete indicator: clouds, which give distances, or an indicator of the paper.
+    /// A discrete indicator: the cloud indicator, from which distances are computed, or an
+    /// indicator of the paper.
     Indicator {
         /// The kind of the indicator.
         kind: IndicatorKind,

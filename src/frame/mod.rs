@@ -66,7 +66,8 @@ use surface::ExtractableField;
 #[derive(Debug)]
 pub struct Engine {
     field: SampledField,
-    /// The tiles that contain particles; empty for a frame that was sampled earlier.
+    /// The tiles that contain particles; empty for a frame that was sampled earlier, such as a
+    /// packed frame.
     occupied: OccupiedTiles,
     /// The sorted particles, and the attributes that are carried to the vertices; `None` if there
     /// are no such attributes.
@@ -312,8 +313,8 @@ impl Engine {
         matches!(self.field, SampledField::Sizes(_))
     }
 
-    /// The blocks near particles of finer octaves, which determine the width of cells if particles
-    /// have several sizes.
+    /// For each level from 1 up, the blocks near particles of the next finer octave. They determine
+    /// the width of cells if particles have several sizes.
     #[must_use]
     pub fn finer_blocks(&self) -> Option<&FinerBlocks> {
         match &self.field {
@@ -471,8 +472,8 @@ impl Engine {
         self.occupied.coincident(&self.facts().grid)
     }
 
-    /// The spacing that the samples of clouds indicate, for a frame that was sampled earlier;
-    /// `None` for all other frames.
+    /// The spacing that the samples of the cloud indicator imply, for a frame that was sampled
+    /// earlier; `None` for all other frames.
     #[must_use]
     pub fn spacing_by_samples(&self) -> Option<f64> {
         match &self.field {

@@ -189,7 +189,8 @@ pub struct Surfacing {
 }
 
 impl Surfacing {
-    /// A surface with the default smoothing for the frame's spacing, and no options.
+    /// A surface with the default smoothing for the frame's spacing, and without optional features
+    /// such as normals or solids.
     pub const PLAIN: Self = Self {
         smooth: Smooth::DEFAULT,
         sheets: SheetStretch::DEFAULT,
@@ -240,8 +241,8 @@ impl Surfacing {
         }
     }
 
-    /// How far beyond the halo of the field, in cells, particles affect the continuation of clouds
-    /// into a solid; 0 without a solid.
+    /// The additional reach, in cells beyond the halo of the field, within which particles affect
+    /// the continuation of the fluid into a solid; 0 without a solid.
     fn fill_reach(&self, spacing: Option<f64>, grid: &Grid) -> i32 {
         if !self.at_solids {
             return 0;
@@ -256,7 +257,7 @@ impl Surfacing {
         self.solid.as_ref().map_or(0, |solid| solid.bytes())
     }
 
-    /// Memory, in bytes, of clouds while they are continued into a solid.
+    /// Memory, in bytes, for continuing the clouds of the fluid into a solid.
     fn fill_bytes(&self, filters: &Filters, spacing: Option<f64>, grid: &Grid) -> u64 {
         let Filters::Distances(distances) = filters else { return 0 };
         let further = self.fill_reach(spacing, grid);

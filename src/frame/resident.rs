@@ -52,7 +52,8 @@ pub struct DeviceRequest {
     pub calibration: Option<Calibration>,
 }
 
-/// Semaphores that a call waits for and signals, and buffers for the surface. Empty by default.
+/// Semaphores that a call of [`Pipeline::surface_between`] waits for and signals, and buffers for
+/// the surface. Empty by default.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Exchange<'a> {
     /// Semaphores to wait for before the positions are read. The device waits for them even if the
@@ -66,7 +67,7 @@ pub struct Exchange<'a> {
 }
 
 /// A surface on the device. Its buffers can be bound as storage, vertex and index buffers, and live
-/// as long as this object. When it is dropped, it waits until the buffers are written.
+/// as long as this object. Dropping this object waits until the buffers are written.
 #[derive(Debug)]
 pub struct ResidentSurface {
     /// The vertices' positions, three f32 each.
@@ -192,7 +193,7 @@ impl Pipeline {
         if !exchange.wait.is_empty() {
             work.begin()?;
             // All later work on the queue runs after this submission. SAFETY: the caller guarantees
-            // the semaphores.
+            // the conditions on the semaphores.
             unsafe { work.submit_between(&[], exchange.wait, &[]) }?;
         }
         let &DeviceRequest { grid, domain, invalid, spacing, ref surfacing, calibration, .. } =
@@ -276,7 +277,7 @@ impl Pipeline {
             indices: indices.clone(),
         };
         stitch(device, (&mut work, &written), &self.stitch, &layout, iso, &buffers)?;
-        // SAFETY: the caller guarantees the semaphores.
+        // SAFETY: the caller guarantees the conditions on the semaphores.
         unsafe { work.submit_between(&[], &[], exchange.signal) }?;
         Ok(ResidentSurface {
             positions,

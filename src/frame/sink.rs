@@ -138,7 +138,7 @@ impl FieldSink {
             }
             Self::File { file, writer, cache_bytes, folder, .. } => {
                 // A file cannot store the walls of an octave, which follow from the finest cells,
-                // so they are set again below.
+                // so the walls are set again below.
                 let open = FrameFacts { domain: None, ..facts };
                 writer.finish(&open, indicator)?;
                 let mut sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;

@@ -22,14 +22,16 @@ use super::sink::FieldSink;
 use super::surface::{ExtractableField, cube_by_cube};
 use super::{FrameError, Resources, SizedParticles, Surfacing};
 
-/// The clouds of a frame's particles, for each octave of their sizes.
+/// The clouds (samples of the cloud indicator) of a frame's particles, for each octave of the
+/// particles' sizes.
 #[derive(Debug)]
 pub(super) struct SampledSizes {
     pub(super) sampled: SampledOctaves,
     /// For each level of cells, the clouds of all octaves. Entry k has octave k as its first
     /// octave.
     clouds: Vec<SizedClouds>,
-    /// The blocks near particles of finer octaves, which determine the levels of cells.
+    /// For each level from 1 up, the blocks near particles of the next finer octave. They determine
+    /// the levels of cells.
     finer: FinerBlocks,
     levels: BlockLevels,
 }
@@ -186,7 +188,7 @@ impl SampledSizes {
         f64::from(1_u32 << (self.clouds[0].octaves() - 1))
     }
 
-    /// The blocks near particles of finer octaves.
+    /// For each level from 1 up, the blocks near particles of the next finer octave.
     pub(super) fn finer_blocks(&self) -> &FinerBlocks {
         &self.finer
     }

@@ -30,7 +30,7 @@ use super::{FrameError, Resources};
 
 /// Adds data that does not come from the field, such as attributes, to a mesh.
 pub(super) type Finish<'a> = dyn Fn(&mut BlockMesh) -> io::Result<()> + Sync + 'a;
-/// Takes finished meshes, in order.
+/// Takes finished meshes, in the order of their regions.
 pub(super) type Push<'a> = dyn FnMut(Vec<BlockMesh>) -> io::Result<()> + 'a;
 /// Meshes regions of a field, finishes every mesh, and passes the meshes to a `Push`.
 type Contour<'a> =
@@ -196,7 +196,7 @@ impl<'a> CalibratedFrame<'a> {
         let wide = are_wide(spool.components().iter().copied());
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_PER_THREAD * rayon::current_num_threads();
-        // Any of these blocks can be full of spray, so each is assumed to be.
+        // Any of these blocks can be full of spray, so this assumes that all of them are.
         let block = blocks_bytes(1, block_vertices(true), spool.vertex_bytes());
         let mut regions = &self.extracted.regions[..];
         let calibrating = if self.measured.is_some() { CALIBRATING } else { 0.0 };

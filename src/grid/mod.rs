@@ -29,8 +29,8 @@ pub const FRACTIONS: u32 = 1 << FRACTION_BITS;
 
 /// Edge of a tile, in cells. A tile has 64 cells, so one bit per cell fits in a machine word.
 pub const TILE: i32 = 4;
-/// Edge of a bin, in cells. A bin is the unit in which particles are sorted and DIF bricks are
-/// paged.
+/// Edge of a bin, in cells. A bin is the unit in which particles are sorted and samples are stored
+/// (in pages).
 pub const BIN: i32 = 16;
 /// Edge of a block, in cells. A block is the unit in which the field is smoothed and meshed.
 pub const BLOCK: i32 = 32;
@@ -49,7 +49,7 @@ pub const CELL_LIMIT: i32 = (TILE << 20) - 4 * BLOCK;
 /// [`CELL_LIMIT`] in fixed-point steps.
 pub const STEP_LIMIT: f64 = CELL_LIMIT as f64 * FRACTIONS as f64;
 
-/// The sampling grid: an unbounded grid of cubic cells with edge `cell`, anchored at `origin`.
+/// The sampling grid: cubic cells with edge `cell`, anchored at `origin`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Grid {
     origin: DVec3,

@@ -78,8 +78,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let position = [0, 1, 2].map(|axis| position.component(axis));
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(points as usize), position, attributes);
-    // Read as an unsigned number, the index -1 is beyond the last string. A point with this index
-    // gets the label's first text, which is empty.
+    // Read as an unsigned number, the index -1 is greater than the index of every string. A point
+    // with this index gets the label's first text, which is empty.
     let labels = labels.into_iter().map(|(name, texts, within)| {
         let (label, places) = label(name, texts);
         (label, (column(Scalar::U32, within), places))

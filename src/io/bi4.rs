@@ -85,8 +85,8 @@ pub fn is_later_piece(path: &Path) -> bool {
     PieceName::of(path).is_some_and(|name| name.number > 0)
 }
 
-/// Paths of the other pieces of a part, up to the first piece that does not exist. Empty if `path`
-/// is not the first piece.
+/// Paths of the pieces that follow the first piece of a part, up to the first file that does not
+/// exist. Empty if `path` is not the first piece.
 pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     let first = PieceName::of(path).filter(|name| name.number == 0);
     first.map_or(Vec::new(), |name| {
@@ -215,7 +215,8 @@ impl Bi4Piece {
     }
 }
 
-/// The rows of the arrays that contain fluid particles. Indices in `rows` are relative to `first`.
+/// The rows with fluid particles, which are the same in all arrays. Indices in `rows` are relative
+/// to row `first`.
 struct FluidRows {
     first: usize,
     rows: ParticleRows,

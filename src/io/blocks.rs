@@ -55,9 +55,10 @@ impl OpenedBlock {
 /// Opens the blocks of a frame of the list at `path`, as one set of particles. A block that is
 /// itself a list is replaced by the blocks in it.
 ///
-/// Blocks without particles, such as meshes, are left out. Lines, such as wave gauges or the paths
-/// of particles, are left out if another block contains particles. If only some blocks have the
-/// attribute that a condition tests, no particle of the other blocks satisfies the condition.
+/// Blocks without particles, such as meshes, are left out. Blocks of lines, such as wave gauges or
+/// the paths of particles, are left out if another block contains particles. If only some blocks
+/// have the attribute that a condition tests, no particle of the other blocks satisfies the
+/// condition.
 ///
 /// # Errors
 /// The errors of [`open_joined`](super::input::open_joined), and [`ReadFault::Unsupported`] if no

@@ -304,7 +304,7 @@ impl<'a> ByteView<'a> {
     /// # Errors
     /// [`ReadFault::Changed`] if the file was not read as a whole. A reader calls this function
     /// only for content that it reads as a whole when it opens a file. If the file was not read as
-    /// a whole, it had other content at that time, and has changed since.
+    /// a whole, its content was different when it was opened, so the file has changed since.
     pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
         match self {
             Self::File(_) => Err(ReadFault::Changed),
@@ -338,8 +338,8 @@ impl<'a> From<&'a [u8]> for ByteView<'a> {
     }
 }
 
-/// Number of bytes after which the memory of the bytes that were read is released, and number of
-/// bytes per read of a whole file.
+/// Number of bytes that a [`SequentialReader`] reads before it releases their memory. When a whole
+/// file is copied, this is the number of bytes per read.
 const WINDOW: u64 = 1 << 20;
 
 /// Reads bytes sequentially, and releases the memory of the bytes before its position.

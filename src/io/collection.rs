@@ -23,7 +23,8 @@ use super::{ParticleFile, ReadError, ReadFault, malformed};
 pub struct ListedFrame {
     /// The time, if the list contains it.
     pub time: Option<f64>,
-    /// The data sets of this frame, in the order of their part numbers.
+    /// The data sets of this frame: in the order of the attribute `part` in a .pvd, or in list
+    /// order in a .series.
     pub blocks: Vec<FrameBlock>,
 }
 
@@ -76,9 +77,12 @@ fn read_list(path: &Path) -> Result<Vec<ListedFrame>, ReadError> {
     let other = frames.iter().flat_map(ListedFrame::files).find(|file| is_list(file));
     let fault = match other.map(Path::to_owned) {
         Some(other) => {
-            format!("names another list, {}; a list must name only data files", other.display())
+            format!(
+                "the list names another list, {}; a list must name only data files",
+                other.display()
+            )
         }
-        None if frames.is_empty() => "lists no files".to_owned(),
+        None if frames.is_empty() => "the list names no files".to_owned(),
         None => return Ok(frames),
     };
     Err(ReadError::new(path, malformed(0, fault)))
@@ -106,8 +110,8 @@ pub fn open_particles(
     Ok(ParticleFile { time: time.or(opened.time), ..opened })
 }
 
-/// Frame number `number` of `list`. Without a number, the list must have a single frame. An error
-/// about the number contains `path`.
+/// Frame number `number` of `list`. Without a number, the list must have a single frame. `path` is
+/// the path of the input, such as `sim.pvd#3`, for an error about the number.
 ///
 /// # Errors
 /// The errors of [`open_particles`] about the list and the number.

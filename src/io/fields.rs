@@ -1,5 +1,5 @@
-//! Interprets named arrays of numbers. Finds the position, the attributes, and the axis along which
-//! the particles lie.
+//! Interprets named arrays of numbers. Finds the position, the attributes, and the axis along
+//! which each array has one entry per particle.
 
 use super::error::{no_step, several_steps};
 use super::names::{Quantity, is_preferred_position, quantities};
@@ -82,8 +82,8 @@ impl Arrangement {
     /// The step numbers of the frames. Empty if there is a single frame, or if there are no
     /// particles.
     pub fn steps(&self) -> Vec<u64> {
-        // Ignores frames without particles, because they take no bytes, and the file's size does
-        // not limit their number.
+        // Returns no steps if the frames have no particles. Such frames take no bytes, so even a
+        // small file can declare any number of them.
         let frames = self.frames.filter(|frames| *frames > 1 && self.rows > 0);
         (0..frames.unwrap_or(0)).collect()
     }

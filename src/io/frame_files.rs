@@ -46,7 +46,8 @@ pub fn files_of(path: &Path) -> Vec<PathBuf> {
     files
 }
 
-/// The number of files of the snapshot that `path` belongs to. `None` for other files.
+/// The number of files of the snapshot that `path` belongs to. `None` if `path` belongs to no
+/// snapshot.
 #[cfg(feature = "hdf5")]
 pub fn snapshot_pieces(path: &Path) -> Option<u64> {
     matches!(extension(path).as_deref(), Some("h5" | "hdf5")).then(|| super::h5::pieces_of(path))?

@@ -1,4 +1,5 @@
-//! Finds the points to leave out because all of their cells are flagged as copies or as hidden.
+//! Finds the points to leave out because all of their cells are flagged as copied, refined or
+//! hidden.
 //!
 //! Programs that divide cells among pieces flag cells, not points. In a set of particles, each cell
 //! is a vertex that refers to one point. If all cells are vertices, a point is left out if it has
@@ -53,8 +54,8 @@ impl VertexCells {
 
     /// Starts an array of flags, called `name`, with one flag per cell.
     pub fn flags<'a>(&'a mut self, name: &'a str) -> Flags<'a> {
-        // The older array stores levels of copies instead of bits, so any nonzero level means a
-        // copy.
+        // The older array, `vtkGhostLevels`, stores levels of copies instead of bits, so any
+        // nonzero number means a copy.
         let mask = if name == GHOSTS[0] { LEFT_OUT } else { i64::MAX };
         Flags { vertices: self, name, mask, count: 0 }
     }

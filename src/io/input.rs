@@ -147,7 +147,8 @@ pub(super) fn open_each<T: Send>(
     let open = |(number, path): (usize, &&Path)| {
         wanted.pieces.includes(number).then(|| open(path, whole, share)).transpose()
     };
-    // Opens all files before it returns, so that the error is always that of the first faulty file.
+    // All files are opened before errors are checked, so this function always returns the error of
+    // the first faulty file.
     let files: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     files.into_iter().collect()
 }

@@ -12,7 +12,8 @@ use super::{ParticleFile, ReadFault};
 
 /// Size, in bytes, of a position.
 const TRIPLE: usize = 3 * size_of::<f64>();
-/// Number of bytes of text, and of positions, that are buffered.
+/// Size, in bytes, of the buffer of text. Decoded positions are also collected up to about this
+/// size before they are stored.
 const CHUNK: usize = 1 << 16;
 
 /// Reads a list of positions.

@@ -154,7 +154,7 @@ pub enum UnreadPart {
     Coordinates {
         /// The names of the arrays.
         names: [String; 3],
-        /// The name of the position.
+        /// The name of the array that contains the positions.
         position: String,
     },
 }
@@ -199,14 +199,14 @@ impl fmt::Display for UnreadPart {
             }
             Self::Times { column, count, first, last } => write!(
                 f,
-                "the division into frames by the {count} times in column {column:?} (from {first} \
-                 to {last}), because meniscus reads all rows of a table as one frame; to select \
-                 the rows of one time, use the condition {column}={first}"
+                "the times in column {column:?} ({count} times from {first} to {last}), because \
+                 meniscus reads all rows of a table as one frame; to select the rows of one time, \
+                 use the condition {column}={first}"
             ),
             Self::RepeatedStep => write!(
                 f,
-                "earlier frames with the same step number, because a restarted simulation repeats \
-                 steps, and only the last frame with this number counts"
+                "earlier frames with the same step number as this frame, because a restarted \
+                 simulation repeats steps, and only the last frame with a given number counts"
             ),
             Self::WideArray { name, numbers } => write!(
                 f,

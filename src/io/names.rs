@@ -33,7 +33,7 @@ const POSITION: [&str; 25] = [
     "r",
 ];
 
-/// Names of a position whose three components have no names of their own, as in `pos vel rho`.
+/// Names that each stand for the three columns of a position, as in the heading `pos vel rho`.
 const POSITION_WORDS: [&str; 10] = [
     "pos",
     "position",
@@ -46,7 +46,7 @@ const POSITION_WORDS: [&str; 10] = [
     "location",
     "locations",
 ];
-/// Names of a velocity whose three components have no names of their own.
+/// Names that each stand for the three columns of a velocity.
 const VELOCITY_WORDS: [&str; 5] = ["v", "vel", "vels", "velocity", "velocities"];
 /// Names of other columns that many programs write.
 const COLUMN_WORDS: [&str; 34] = [
@@ -257,16 +257,16 @@ fn axis_in_name(name: &str) -> Option<(&'static str, usize)> {
 
 /// The columns of a colour's components. `None` if the name of a component is missing or occurs
 /// twice. Alpha is optional.
-fn colour(names: &[&str], [shares @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>> {
-    let called = |share: &str| {
-        let columns = names.iter().enumerate().filter(|(_, n)| n.eq_ignore_ascii_case(share));
+fn colour(names: &[&str], [channels @ .., alpha]: &[&str; 4]) -> Option<Vec<usize>> {
+    let called = |channel: &str| {
+        let columns = names.iter().enumerate().filter(|(_, n)| n.eq_ignore_ascii_case(channel));
         columns.map(|(column, _)| column).collect::<Vec<_>>()
     };
-    let only = |share: &&str| match called(share)[..] {
+    let only = |channel: &&str| match called(channel)[..] {
         [only] => Some(only),
         _ => None,
     };
-    let mut columns = shares.iter().map(only).collect::<Option<Vec<_>>>()?;
+    let mut columns = channels.iter().map(only).collect::<Option<Vec<_>>>()?;
     columns.extend(only(alpha));
     Some(columns)
 }

@@ -1,7 +1,7 @@
 //! Reads positions of f16, f32 or f64 from NumPy's .npy files.
 //!
 //! The array has shape (N, 3), (3, N) or, for several frames, (T, N, 3), or is a structured array.
-//! Both byte orders and both orders of axes are supported.
+//! Both byte orders are supported, and both memory layouts (C order and Fortran order).
 //!
 //! The header is a Python dictionary. It is parsed according to the few rules that NumPy's own
 //! writer follows, because a general parser of Python literals can take hours for a kilobyte of
@@ -172,8 +172,8 @@ impl NpyHeader {
         fields.collect()
     }
 
-    /// Checks that the numbers of field number `field` are floating-point, and may therefore be
-    /// positions.
+    /// Checks that the field with index `field` contains floating-point numbers, and may therefore
+    /// contain positions.
     pub fn expect_position(&self, field: usize) -> Result<(), ReadFault> {
         match self.members.get(field).map(|member| member.scalar) {
             Some(Scalar::F16 | Scalar::F32 | Scalar::F64) => Ok(()),

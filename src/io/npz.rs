@@ -1,9 +1,9 @@
 //! Reads NumPy's .npz: a zip archive of .npy arrays. Each array is a quantity, with one row per
 //! particle.
 //!
-//! Uncompressed arrays (`np.savez`) are read in place. If a needed array is compressed
-//! (`np.savez_compressed`), all needed arrays are unpacked first, and none is read in place.
-//! Checksums are always verified.
+//! Uncompressed arrays (`np.savez`) are read in place. If an array of the position or of an
+//! attribute is compressed (`np.savez_compressed`), all arrays of the position and the attributes
+//! are unpacked first, and none is read in place. Their checksums are always verified.
 
 use std::io::Read;
 
@@ -224,8 +224,9 @@ fn arrays(bytes: &Bytes) -> Result<Vec<NpzArray>, ReadFault> {
     Ok(arrays)
 }
 
-/// Unpacks the needed arrays if any is compressed, and verifies checksums. Returns the start of
-/// each array, in the file or in the unpacked bytes.
+/// Unpacks the arrays for which `needed` is true if any of them is compressed, and verifies their
+/// checksums in any case. Returns the start of each of these arrays, in the file or in the unpacked
+/// bytes.
 fn unpack(
     bytes: &Bytes,
     arrays: &[NpzArray],

@@ -146,7 +146,8 @@ impl ObjMesh {
             let corner = self.corner(word).map_err(|what| scan.fault(at, what))?;
             let corner = u32::try_from(corner).map_err(|_| {
                 ReadFault::Unsupported(format!(
-                    "a face refers to vertex {corner}, but a mesh must have fewer than 2^32"
+                    "a face refers to vertex {corner}, but a mesh must have fewer than 2^32 \
+                     vertices"
                 ))
             })?;
             self.corners.push(corner);

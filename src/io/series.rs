@@ -47,7 +47,8 @@ pub struct SeriesFrame {
     pub vertices: u64,
     /// Number of triangles of the mesh.
     pub triangles: u64,
-    /// The mesh's bounding box as other programs show it. `None` for an empty mesh.
+    /// The mesh's bounding box as a viewer shows it, after any rotation that the mesh's file
+    /// specifies. `None` for an empty mesh.
     pub bounds: Option<Corners>,
     /// Whether the vertices have normals.
     pub normals: bool,
@@ -64,7 +65,7 @@ pub struct Series {
     pub simulation: PathBuf,
     /// Frames per second, if the frame rate is given.
     pub fps: Option<f64>,
-    /// The up axis of the meshes as other programs show them.
+    /// The axis that points up in a viewer, after any rotation that the meshes' files specify.
     pub up: UpAxis,
 }
 
@@ -192,11 +193,12 @@ impl Series {
         Ok(())
     }
 
-    /// The times of `frames` in an archive, in seconds. `frames` must be sorted by number.
+    /// The times, in seconds, that an Alembic archive stores for `frames`. `frames` must be sorted
+    /// by number.
     ///
-    /// If the frame rate is given or implied, times that are close to the time of a whole frame are
-    /// rounded to it. If neither the times nor the frame rate are known, there are 24 frames per
-    /// second.
+    /// If the frame rate is given, or implied by the times of the frames, a time that is close to a
+    /// whole number of frames is rounded to this number of frames. If neither the times nor the
+    /// frame rate are known, there are 24 frames per second.
     #[must_use]
     pub fn times(&self, frames: &[SeriesFrame]) -> Vec<f64> {
         Timeline::of(frames, self.fps).frames.into_iter().map(|frame| frame.seconds).collect()

@@ -211,7 +211,8 @@ fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
     for position in corners {
         let next = u32::try_from(mesh.positions.len()).map_err(|_| {
             ReadFault::Unsupported(
-                "the file has too many corners: a mesh must have fewer than 2^32".to_owned(),
+                "the file has too many corners: a mesh must have fewer than 2^32 vertices"
+                    .to_owned(),
             )
         })?;
         let vertex = *known.entry(position.map(f64::to_bits)).or_insert(next);

@@ -95,11 +95,11 @@ impl TextFormat {
     }
 }
 
-/// The places of all frames in a text.
+/// The starts of all frames in a text.
 #[derive(Debug)]
 struct Frames {
     format: TextFormat,
-    /// Number and place of each frame, in file order.
+    /// Number and start of each frame, in file order.
     all: Vec<(u64, LinePlace)>,
     /// The start of the first invalid frame. `None` if all frames are valid.
     broken: Option<LinePlace>,
@@ -150,7 +150,7 @@ impl Frames {
         numbers
     }
 
-    /// The place of frame number `step`. Without `step`, the text must have a single frame. If the
+    /// The start of frame number `step`. Without `step`, the text must have a single frame. If the
     /// text has an invalid line, only frames above this line are found, and only by their numbers.
     ///
     /// If several frames have this number, finds the last one, because a simulator that restarts
@@ -202,7 +202,7 @@ fn decoded(bytes: Bytes, hint: TextHint, unpacking: Unpacking) -> Result<Bytes, 
 /// Reads frame number `step` of a text file. Without `step`, the file must have a single frame. In
 /// an .xyz, bytes that are not text are read as raw little-endian f32 triples.
 ///
-/// The places of frames are cached by the file's path and stamp, so that a later call can read a
+/// The starts of frames are cached by the file's path and stamp, so that a later call can read a
 /// frame without scanning the frames above it.
 ///
 /// # Errors

@@ -42,16 +42,16 @@ const DIVIDED: [f64; 5] = [24.0, 30.0, 48.0, 60.0, 120.0];
 /// simulation, even if its time is not a multiple of the step.
 pub(crate) const MIN_REGULAR_FRAMES: usize = 4;
 
-/// The time of a frame in the lists and archives of a simulation.
+/// The time of a frame in the lists and the Alembic archive of a simulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct FrameTime {
     /// Time in seconds, or the frame number if the time and the frame rate are unknown.
     pub time: f64,
     /// Time code of the frame.
     pub code: f64,
-    /// Time in seconds in an archive. If the frame rate is known, this is the time code divided by
-    /// the frame rate. Otherwise, it is the exact time of the frame, or, if the times are not used,
-    /// the frame number divided by [`FRAMES_PER_SECOND`].
+    /// Time in seconds in an Alembic archive. If the frame rate is known, this is the time code
+    /// divided by the frame rate. Otherwise, it is the exact time of the frame, or, if the times are
+    /// not used, the frame number divided by [`FRAMES_PER_SECOND`].
     pub seconds: f64,
 }
 
@@ -101,7 +101,8 @@ impl fmt::Display for UnusedTimes {
             Some(fps) => write!(f, "the frame numbers divided by {fps} frames per second"),
             None => write!(
                 f,
-                "the frame numbers, at {FRAMES_PER_SECOND} frames per second in stages and archives"
+                "the frame numbers, at {FRAMES_PER_SECOND} frames per second in USD stages and \
+                 Alembic archives"
             ),
         }
     }

@@ -20,8 +20,8 @@ use super::bytes::{Bytes, PrivateBytes};
 const LARGE: usize = 1 << 18;
 /// Number of bytes per read at other positions.
 const SMALL: usize = 1 << 14;
-/// Minimum number of bytes to request ahead of a thread's position. The system searches its cache
-/// for each request, so requests do not overlap.
+/// Minimum number of bytes to request ahead of a thread's position. For each request, the system
+/// searches its cache, so the bytes of one request are not requested again by the next.
 const AHEAD: usize = 1 << 22;
 
 /// A source of bytes that is accessed in windows.

@@ -76,9 +76,12 @@ struct XyzFrame {
 
 /// Whether a text starts with the number of its particles, as a frame does.
 ///
-/// The number is instead the title of a table if exactly this number of rows, and nothing else,
-/// follows it directly. If a line of column names follows it, the number is also a title, unless
-/// exactly this number of rows follows the names before the next frame or the end.
+/// In a frame, a comment separates the number from the rows. If instead exactly this number of
+/// rows, and nothing else, follows the number directly, the number is the title of a table.
+///
+/// If a line of column names follows the number, the line may be the comment of a frame. This is
+/// the case if exactly this number of rows follows the names, before the next frame or the end of
+/// the text. Otherwise, the number is the title of a table.
 ///
 /// # Errors
 /// Errors from reading the text.

@@ -58,8 +58,8 @@ pub enum KindFault {
         "colour {name:?} contains the value {greatest}, so its range seems to be 0 to 255, but in \
          the calibration frame (usually the first) it seems to be 0 to 1; use the same range in \
          all frames, or do not transfer the attribute; if all frames use 0 to 255, the colours of \
-         the calibration frame are so dark that meniscus took their range for 0 to 1: start the \
-         simulation at a frame with a value above 16"
+         the calibration frame are so dark that meniscus took their range for 0 to 1; in this \
+         case, begin with a frame that has a value above 16"
     )]
     Scale {
         /// The name of the attribute.

@@ -2,12 +2,13 @@
 //! suits the lattice.
 //!
 //! Simulations often start with particles on a lattice. If its step divides the cells' edge,
-//! particles have the same positions in all cells. With one particle per cell, symmetry's theta can
-//! then be anything from 0 (on a corner) to 1 (in the centre). A few frames later, the same fluid
-//! is disordered. Its mean theta, over all offsets u from the centre of a cell of edge 1, is 1 - 2
-//! E|u| / sqrt 3 = 0.445. If the origin gives the lattice exactly this theta, measurements on the
-//! first frame hold for all frames. With this origin, the lattice is also far from cell faces,
-//! where rounding errors would move particles to neighbouring cells.
+//! particles have the same positions in all cells. With one particle per cell, theta, the sample of
+//! the symmetry indicator, can then be anything from 0 (if particles are on corners of cells) to 1
+//! (if particles are in the centres of cells). A few frames later, the same fluid is disordered.
+//! Its mean theta, over all offsets u from the centre of a cell of edge 1, is 1 - 2 E|u| / sqrt 3 =
+//! 0.445. If the origin gives the lattice exactly this theta, measurements on the first frame hold
+//! for all frames. With this origin, the lattice is also far from cell faces, where rounding errors
+//! would move particles to neighbouring cells.
 
 use std::f64::consts::TAU;
 

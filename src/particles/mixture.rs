@@ -196,8 +196,8 @@ fn mixture_by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -
         visit(key, cells, &|cell| wet[cell].store(true, Ordering::Relaxed));
         wet.into_iter().map(AtomicBool::into_inner).collect()
     };
-    // The particles of a tank do not fill their bounding box. If the particles with a value do, for
-    // example water around a body, they are not a boundary.
+    // The particles of a tank do not fill their bounding box. If the particles with one value fill
+    // their bounding box, as water around a body does, they are not a boundary.
     let fills: Vec<bool> = values
         .iter()
         .zip(&extents)

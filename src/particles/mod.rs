@@ -95,7 +95,7 @@ pub enum RereadError {
     Io(io::ErrorKind),
 }
 
-/// Particles, held in memory or in a file.
+/// Particles in memory or in a file.
 ///
 /// Particles keep the order of their file, and error messages refer to them by index. Values are
 /// returned as stored, and can be NaN or infinite. Slices, vectors and arrays of `[f32; 3]` or

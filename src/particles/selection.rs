@@ -123,7 +123,7 @@ fn with_components(attribute: &str, components: usize) -> String {
     )
 }
 
-/// The value of each particle that a condition tests.
+/// The value that a condition tests for each particle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ConditionOperand {
     /// A component of an attribute.

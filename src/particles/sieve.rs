@@ -4,11 +4,11 @@ use std::ops::Range;
 
 use crate::system::bits::ones;
 
-/// Rows per word.
+/// Number of rows per word: one bit for each row.
 const WORD: usize = 64;
-/// Words per count.
+/// Number of words per group. [`Sieve`] stores a count of selected rows for each group.
 const WORDS: usize = 64;
-/// Rows per count.
+/// Number of rows per group.
 pub(super) const GROUP: usize = WORD * WORDS;
 
 /// A selection of the rows of a table, in order.

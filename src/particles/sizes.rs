@@ -22,7 +22,7 @@ const RADII: [&str; 5] = ["pscale", "radius", "radii", "particleradius", "partic
 pub const SPACING: &str = "spacing";
 /// The names of masses, densities and smoothing lengths in GADGET and SWIFT files. If the masses
 /// differ, masses and densities certainly give the sizes of the particles; without densities, the
-/// smoothing lengths give them.
+/// smoothing lengths give the sizes.
 const USUAL_MASSES: &str = "masses";
 const USUAL_DENSITIES: [&str; 2] = ["density", "densities"];
 const USUAL_LENGTHS: [&str; 2] = ["smoothinglength", "smoothinglengths"];

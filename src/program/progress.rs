@@ -18,7 +18,8 @@ pub enum ProgressMode {
     Never,
 }
 
-/// Progress bars, if enabled: one for all frames together, and one for each lane.
+/// Progress bars, if enabled: one for all frames together, and one for each lane. A lane converts
+/// one frame at a time.
 pub struct ProgressBars {
     bars: Option<(ProgressBar, Vec<ProgressBar>)>,
 }

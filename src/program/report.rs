@@ -159,7 +159,7 @@ fn report_calibration(
 pub fn report_census(census: &Census, notes: &Notes) {
     for (count, what) in [
         (census.not_finite, "skipped: a coordinate is not finite"),
-        (census.too_far, "skipped: beyond the grid"),
+        (census.too_far, "skipped: too far from the origin of the grid"),
         (census.outside, "left out: outside the domain or the periodic box"),
     ] {
         if count > 0 {

@@ -356,8 +356,8 @@ setters! {
     /// Removes drops with fewer than this number of particles, which is estimated from the drop's
     /// volume.
     smallest_drop: u32,
-    /// Skips particles whose position is not finite or is outside the grid, and reports their
-    /// number. Without this setting, such particles give an error.
+    /// Skips particles whose position is not finite, too far from the grid's origin, or outside the
+    /// periodic box, and reports their number. Without this setting, such particles give an error.
     skip_invalid: bool,
     /// Compresses the output: `.glb` files with quantization and EXT_meshopt_compression, `.vdb`
     /// files with zlib.

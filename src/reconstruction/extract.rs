@@ -36,7 +36,7 @@ pub(crate) struct Findings {
     pub(crate) shortfall: Option<Shortfall>,
 }
 
-/// A mesh in memory, or in scratch files if it exceeds its share of the memory.
+/// A mesh in memory, or in scratch files if it exceeds the memory that is planned for it.
 pub(crate) enum ExtractedMesh {
     /// The mesh of a frame that has no surface.
     Empty(EmptyMesh),

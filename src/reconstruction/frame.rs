@@ -144,8 +144,8 @@ impl Frame {
     /// The surface uses the memory limit, the threads and the backend of the frame.
     ///
     /// # Errors
-    /// [`Error::Unit`], [`Error::SettingConflict`], also if settings of the sampling differ from
-    /// the frame's, and the errors of [`surface`](Self::surface).
+    /// [`Error::Unit`], [`Error::SettingConflict`], for example if a setting that needs the
+    /// particles has changed, and the errors of [`surface`](Self::surface).
     pub fn surface_by(&self, request: &Reconstruction) -> Result<Surface, Error> {
         let mut checked = request.checked()?;
         let kind = self.sampled.engine.method().indicator();

@@ -451,7 +451,7 @@ fn warnings(all: &mut String) {
         CellData("density".into()),
         Coordinates { names: ["x", "y", "z"].map(String::from), position: "pos".into() },
     );
-    // A part is read in a sentence: see [`Warning::LeftOut`].
+    // The text of an `UnreadPart` is a fragment of a sentence: see [`Warning::LeftOut`].
     for line in parts.lines() {
         match line.split_once(": ") {
             Some((variant, part)) => text += &format!("{variant}: meniscus left out {part}\n"),

@@ -7,7 +7,7 @@
 //! |---|---|---|---|---|
 //! | a whole frame: `opened`, `frame` | chooses the cells and counts the particles in one reading | all particles, `CheckedRequest::engine` | `extract` | `output` |
 //! | in parts: `parts` | once for all parts, `parts/plan.rs`, stored in `plan.json` | the bins that affect the part's blocks, `parts/make.rs` | only its blocks; `parts/merge.rs` stitches all | a file of blocks, then `output` |
-//! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `extract_or_empty` | its lane fills the file, and another thread renames it |
+//! | of a simulation: `simulation` | calibrated on one frame, `simulation/freeze.rs` | in parallel or alone, `simulation/one_frame.rs` | `extract_or_empty` | one thread fills the file, and another thread renames it |
 //! | live: `simulation/live.rs` | calibrated on the first suitable frame, in memory | all particles, `CheckedRequest::engine` | `extract_or_empty` | the caller |
 //!
 //! The guide `limits.md` lists limits.

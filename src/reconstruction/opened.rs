@@ -25,7 +25,7 @@ pub struct OpenedFrame {
     path: PathBuf,
     pub(super) request: StartedRequest,
     pub(super) input: Input,
-    /// Walls that meniscus found, if the settings neither set walls nor request found walls.
+    /// Walls that meniscus found, if the settings neither set walls nor ask to find walls.
     hint: Option<FoundWalls>,
     gaps: Vec<GapAtWall>,
     pub(super) timings: Timings,
@@ -193,8 +193,8 @@ impl OpenedFrame {
         }
     }
 
-    /// The walls that were found, and whether the fluid ends at them: true if the request asks for
-    /// found walls, false if the walls are only a hint. `None` if meniscus found no walls, if it
+    /// The walls that were found, and whether the fluid ends at them: true if the request asks to
+    /// find walls, false if the walls are only a hint. `None` if meniscus found no walls, if it
     /// did not search for walls, or if the request sets walls.
     #[must_use]
     pub fn walls(&self) -> Option<(&FoundWalls, bool)> {

@@ -33,7 +33,8 @@ use super::spacing::{SpacingSource, SpacingWarning, is_suspicious};
 pub struct SamplingRequest {
     /// The method that makes the field.
     pub method: Method,
-    /// Treatment of particles whose positions are not finite or too far away.
+    /// Treatment of particles whose positions are not finite, too far from the grid's origin, or
+    /// outside the periodic box.
     pub invalid: InvalidParticles,
     /// The grid's origin, which is a corner of a cell; with `None`, the grid can move to suit a
     /// lattice.
@@ -112,7 +113,7 @@ const MOST_PARTICLES_FOR_HINT: usize = 1 << 24;
 /// A callback that receives the positions of all particles, in pieces and in any order.
 type PositionVisitor<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
 
-/// The spacing for which `cell_size` is the usual cell size.
+/// The spacing for which `cell_size` is half a spacing, the usual size for clouds.
 fn usual_spacing(cell_size: f64) -> f64 {
     2.0 * cell_size
 }
@@ -184,14 +185,14 @@ impl SamplingRequest {
         request
     }
 
-    /// The request with the found `walls`, if the request asks for found walls.
+    /// The request with the found `walls`, if the request asks to find walls.
     #[must_use]
     pub fn in_walls(&self, walls: Option<&Walls>) -> Self {
         let walls = walls.filter(|walls| self.search == WallSearch::Walls && !walls.is_open());
         Self { walls: walls.map(Walls::corners).or(self.walls), ..self.clone() }
     }
 
-    /// The request with walls that were found on other frames, if the request asks for found walls.
+    /// The request with walls that were found on other frames, if the request asks to find walls.
     /// Walls that particles of this frame have crossed are moved or removed, and are also returned.
     #[must_use]
     pub fn in_walls_around(
@@ -416,7 +417,7 @@ impl SamplingRequest {
             CellSize::Length(size) => size,
             CellSize::Spacings(ratio) => ratio * spacing,
         };
-        let share = EvenSample::of(particles.len());
+        let even = EvenSample::of(particles.len());
         if let Some((spacing, source)) = self.given(from) {
             // A spacing from a scene file must be checked: the file may belong to other particles,
             // and does not mention a second resolution.
@@ -425,7 +426,7 @@ impl SamplingRequest {
             let visit = |positions: &[[f64; 3]]| {
                 in_cubes.add(positions);
                 if is_scene {
-                    share.add(positions);
+                    even.add(positions);
                 }
             };
             let done = if is_many { read(size(spacing), &visit) } else { None };
@@ -434,7 +435,7 @@ impl SamplingRequest {
                 None => survey(particles, spacing),
             };
             check_cancelled(particles)?;
-            let taken = (is_scene && done.is_some()).then(|| share.taken());
+            let taken = (is_scene && done.is_some()).then(|| even.taken());
             let draft = taken.filter(|taken| taken.larger().is_none()).and_then(SpacingDraft::of);
             let evidence = draft
                 .zip(surveyed.clone())
@@ -453,7 +454,7 @@ impl SamplingRequest {
         if let Some(usual) = usual {
             let in_cubes = CubeSample::new(Cubes::for_spacing(usual), particles.len());
             let visit = |positions: &[[f64; 3]]| {
-                share.add(positions);
+                even.add(positions);
                 in_cubes.add(positions);
             };
             done = read(size(usual), &visit);
@@ -462,10 +463,10 @@ impl SamplingRequest {
             }
             sample = Some(in_cubes.sample());
         } else {
-            for_each_chunk(particles, |positions| share.add(positions));
+            for_each_chunk(particles, |positions| even.add(positions));
         }
         check_cancelled(particles)?;
-        let taken = share.taken();
+        let taken = even.taken();
         let draft = if taken.larger().is_none() { SpacingDraft::of(taken) } else { None };
         let Some(draft) = draft else {
             return Ok((self.cells_by_evidence(particles, from, evidence(particles))?, done));

@@ -1,4 +1,5 @@
-//! Converts all frames in parallel lanes, within the memory limit.
+//! Converts all frames in parallel lanes, within the memory limit. Each lane converts one frame at
+//! a time.
 
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};

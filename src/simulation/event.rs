@@ -74,7 +74,7 @@ pub enum Event {
         /// Total input size, in bytes, of the frames that are not finished yet; 0 if the simulation
         /// is followed.
         bytes: u64,
-        /// Number of frames that are made in parallel.
+        /// Number of lanes. Each lane makes one frame at a time, in parallel with the other lanes.
         lanes: usize,
         /// Whether the simulation is followed.
         followed: bool,

@@ -167,9 +167,10 @@ impl Setup<'_> {
             frame.calibrate(&checked.surfacing, shared.calibration.as_ref(), &mut timings);
         let mesh = extracted.and_then(|frame| frame.surface(&mut timings)).map_err(in_file)?;
         let bytes = mesh_bytes(mesh.vertex_count(), mesh.triangle_count());
-        let share = largest.bytes().max(1) as f64;
-        let scale =
-            (wanted.len() - done) as f64 * total as f64 / wanted.len().max(1) as f64 / share;
+        let largest_bytes = largest.bytes().max(1) as f64;
+        let scale = (wanted.len() - done) as f64 * total as f64
+            / wanted.len().max(1) as f64
+            / largest_bytes;
         Ok(Some(LargestFrame {
             frame: largest.number,
             particles: census.binned,

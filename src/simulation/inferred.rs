@@ -116,8 +116,8 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
     }
     if wholes.len() == 1 {
         let before = first.name[..numbers[0][number].start].chars().next_back();
-        let is_apart = !before.is_some_and(char::is_alphanumeric);
-        return (is_apart && wholes.contains("0")).then(pattern);
+        let follows_separator = !before.is_some_and(char::is_alphanumeric);
+        return (follows_separator && wholes.contains("0")).then(pattern);
     }
     let mut values: Vec<f64> = all(number).filter_map(|text| text.parse().ok()).collect();
     values.sort_by(f64::total_cmp);

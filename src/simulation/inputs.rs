@@ -516,9 +516,9 @@ impl Sequence {
     }
 }
 
-/// Changes the components of a glob that begin with a dot so that they do not match `.` and `..`.
-/// Otherwise, the glob would find frames outside the folder, and a search through several such
-/// components would never end.
+/// Changes a glob so that its components with a leading dot do not match `.` and `..`. Otherwise,
+/// the glob would find frames outside the folder, and a search through several such components
+/// would never end.
 fn without_dot_folders(pattern: &str) -> String {
     let name = |name: &str| match name.strip_prefix('.') {
         Some(rest) if rest.contains(['*', '?', '[']) => format!("[.]{rest}"),

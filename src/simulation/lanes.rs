@@ -1,4 +1,5 @@
-//! Divides threads and memory among frames that are converted in parallel.
+//! Divides threads and memory among lanes. Each lane converts one frame at a time, in parallel with
+//! the other lanes.
 
 use crate::grid::units::MemoryBudget;
 

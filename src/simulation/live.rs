@@ -23,9 +23,9 @@ use super::shared_calibration::{FrameMeasurements, Trust, measure_in};
 /// A simulation whose frames come from memory, in order.
 ///
 /// Cells, grid and calibration are measured on the first frame with fluid deeper than the reach of
-/// the filters, and kept for all later frames. For the indicator counting, the particles of this
-/// frame must not form a lattice either. Before this frame, [`is_settled`](Self::is_settled) is
-/// false, and each frame is measured separately.
+/// the filters, and kept for all later frames. With the indicator counting, this frame must also
+/// have particles that do not form a lattice. Before this frame, [`is_settled`](Self::is_settled)
+/// is false, and each frame is measured separately.
 ///
 /// ```
 /// use meniscus::{LiveSimulation, Reconstruction};

@@ -95,9 +95,9 @@ fn marks(text: &str, sign: char, before: Option<char>) -> Found {
         return None;
     }
     let count = text.len() - text.trim_start_matches(sign).len();
-    let is_apart = |c: Option<char>| !c.is_some_and(char::is_alphanumeric);
+    let is_boundary = |c: Option<char>| !c.is_some_and(char::is_alphanumeric);
     match count {
-        1 if sign == '#' && is_apart(before) && is_apart(text[1..].chars().next()) => {
+        1 if sign == '#' && is_boundary(before) && is_boundary(text[1..].chars().next()) => {
             text.len().gt(&1).then_some((1, Placeholder::Number(None)))
         }
         2..=20 => Some((count, Placeholder::Number(Some(count)))),

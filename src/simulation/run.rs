@@ -29,8 +29,8 @@ use super::small_meshes::SmallMeshes;
 use super::solids::SolidNames;
 use super::state::{State, StateFolder, StateLookup};
 
-/// Maximum number of repeated calibrations if the input changes during a conversion that does not
-/// watch it.
+/// Maximum number of times that a conversion without `watch` calibrates again because the
+/// calibration frame changed meanwhile.
 const ATTEMPTS: usize = 3;
 
 /// The inputs of one of several simulations, as text, and the simulation's result.

@@ -296,7 +296,7 @@ impl Setup<'_> {
             if self.is_calibrated(&state, frames) {
                 return Ok(StateLookup::Kept(Box::new(state), text));
             }
-            let what = "the calibration is missing, or belongs to another surface".into();
+            let what = "the calibration is missing, incomplete, or for another indicator".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
             return if overwrite {
                 Ok(StateLookup::Stale { text, of_others: true })

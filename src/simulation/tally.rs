@@ -154,7 +154,7 @@ impl<'a> Tally<'a> {
                     lost: left_out.lost,
                     warnings,
                     seconds,
-                    progress: self.tallied(frame),
+                    progress: self.counts_after(frame),
                 };
                 self.listed.insert(frame.number, done.mesh.clone());
                 self.is_behind = true;
@@ -165,7 +165,7 @@ impl<'a> Tally<'a> {
             }
             Err(error) => {
                 self.failed.remove(&frame.number);
-                let mut progress = self.tallied(frame);
+                let mut progress = self.counts_after(frame);
                 progress.failed += 1;
                 let input = frame.path.clone();
                 let failed = Arc::new(FrameFailed { frame: frame.number, input, error, progress });
@@ -176,7 +176,7 @@ impl<'a> Tally<'a> {
         Ok(false)
     }
 
-    fn tallied(&self, frame: &FrameFile) -> FrameCounts {
+    fn counts_after(&self, frame: &FrameFile) -> FrameCounts {
         FrameCounts {
             done: self.done,
             total: self.total,

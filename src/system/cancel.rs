@@ -77,7 +77,7 @@ impl Cancel {
     ///
     /// First waits for threads that are writing the plan of a frame's parts or a record of a
     /// conversion, such as the record of a finished frame, or that are just beginning or ending an
-    /// output. A thread that tries one of these after this call waits forever.
+    /// output. A thread that begins one of these steps after this call waits forever.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         remove(&self.unfinished());

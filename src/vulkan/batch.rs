@@ -427,8 +427,8 @@ impl Batch {
         self.device.check_alive()?;
         let raw = &self.device.raw;
         let state = self.device.queue(self.queue);
-        // SAFETY: all handles belong to this device. The queue is locked, so values increase in the
-        // order of submission.
+        // SAFETY: all handles belong to this device. The queue is locked, so the timeline's values
+        // increase in the order of submission.
         unsafe {
             let queue = state.raw.lock().unwrap_or_else(PoisonError::into_inner);
             let value = state.last.load(Ordering::Relaxed) + 1;

@@ -218,7 +218,7 @@ impl Instance {
     }
 
     /// Whether a validation layer checks the memory accesses of shaders. Only layers of 2024 and
-    /// later can.
+    /// later can do this.
     #[must_use]
     pub fn sees_shaders(&self) -> bool {
         self.sees_shaders

@@ -688,8 +688,9 @@ fn any_failed_allocation_leaves_the_right_mesh_and_leaks_no_memory() {
                 "{scene:?}, call {call}: the device did not continue with less memory"
             );
         }
-        // A failed allocation of a field's reserve gives no warning, because the device works
-        // without the reserve. Both the cells and the wide cells can have a reserve.
+        // A field's buffer is first allocated with headroom for later fields. If this allocation
+        // fails, the device allocates the buffer without headroom, and gives no warning. This can
+        // happen for the cells and for the wide cells.
         assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a warning");
     }
 }

@@ -113,7 +113,8 @@ impl<T: Copy + Default> Dense<T> {
     }
 }
 
-/// Half of the Gaussian mask of section 4.2, from the centre outwards. The full mask sums to 1.
+/// Half of the paper's Gaussian mask (section 4.2), from the centre outwards. The full mask sums
+/// to 1.
 pub fn gaussian(sigma: f64) -> Vec<f64> {
     let taps = 3.max(2 * (3.0 * sigma).floor() as i32 - 1);
     let weight = |k: i32| (-f64::from(k * k) / (2.0 * sigma * sigma)).exp();

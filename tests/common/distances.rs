@@ -1,5 +1,5 @@
-//! The oracle of the distances from clouds: implements the formulas on one dense array, as simply
-//! as possible.
+//! The oracle of the cloud indicator, whose field consists of distances: implements the formulas on
+//! one dense array, as simply as possible.
 //!
 //! There are two implementations. One uses the library's integers, and the library must equal its
 //! result to the bit. The other uses f64. The oracle shares only the committed tables with the
@@ -29,16 +29,18 @@ pub const ZERO: f64 = 32768.0;
 
 /// Minimum edge of a wide cell, in spacings.
 const LEAST_WIDE: f64 = 0.55;
-/// The three widths, relative to the smoothing width, each with the minimum variance of its mask.
-/// Masks are cut off at `CUT` standard deviations.
+/// The three widths (standard deviations of blurred clouds), relative to the smoothing width, each
+/// with the minimum variance of its mask, in squared wide cells. Masks are cut off at `CUT`
+/// standard deviations.
 const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
 const CUT: f64 = 2.2;
-/// The variance of the mask that averages the distance between the fine and the calm surface.
+/// The standard deviation of the mask that averages the distance between the fine and the calm
+/// surface, relative to the smoothing width.
 const AROUND: f64 = 0.5625;
 const AROUND_CUT: f64 = 1.7;
-/// Minimum variance of all other masks.
+/// Minimum variance of all other masks, in squared cells of the field that the mask blurs.
 const LEAST_VARIANCE: f64 = 0.35;
-/// Maximum depth, in spacings, that a width can measure.
+/// Maximum distance from the surface, in spacings, that is computed with one width.
 const DEEPEST: f64 = 2.5;
 /// Maximum distance, in spacings, between the fine and the calm surface.
 const FARTHEST_APART: f64 = 1.0;
@@ -47,8 +49,9 @@ const FARTHEST_APART: f64 = 1.0;
 const APART: [f64; 2] = [0.07, 0.14];
 /// Depths, in spacings, between which the fine surface is faded out.
 const DEEP: [f64; 2] = [0.3, 0.9];
-/// Distances outside the calm surface, in spacings. At the first distance, a particle begins to
-/// stand out; from the second distance on, it stands out fully.
+/// Distances of nearby particles outside the calm surface, in spacings. Up to the first distance, a
+/// cell gets only the surface of the bulk; from the second distance on, the surface of drops is
+/// added completely.
 const STANDS_OUT: [f64; 2] = [0.4, 1.0];
 /// A wide cell counts as occupied if it contains at least 1 / `PARTS` of a particle's cloud.
 const PARTS: f64 = 9.0;
@@ -56,7 +59,7 @@ const PARTS: f64 = 9.0;
 const GAIN: u32 = 2;
 /// The variance of the spline that interpolates wide cells, in squared wide cells.
 const SPLINE: f64 = 0.25;
-/// The width of a drop, in spacings.
+/// The width (standard deviation) of the blurred clouds of a drop, in spacings.
 const DROP: f64 = 0.6;
 /// The masks of drops are cut off at this number of standard deviations.
 const DROP_CUT: f64 = 2.6;
@@ -403,7 +406,8 @@ impl Drops {
         blur(&shares, &integers(&self.spread), (15 + gain).saturating_sub(bits).min(15), walls)
     }
 
-    /// Joins the surface of the bulk with the surface of drops, where particles stand out.
+    /// Joins the surface of the bulk with the surface of drops, where nearby particles lie far
+    /// enough outside the calm surface (`STANDS_OUT`).
     fn joined(&self, shares: &Dense<u16>, bulk: &Dense<u16>, outlying: &Dense<u16>) -> Dense<u16> {
         let width = units(integer_width(&integers(&self.around)) / self.spacing);
         Dense::new(shares.cells, |cell| {

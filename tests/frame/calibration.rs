@@ -153,7 +153,8 @@ fn the_plateau_matches_a_dense_oracle_for_all_cell_sizes() {
             // Combine every density with every disorder, and test each combination in two of the
             // six cell sizes.
             for cell in [CELLS[(i + j) % 6], CELLS[(i + j + 3) % 6]] {
-                // Clouds measure at most four times the expected number of particles.
+                // Limit the density for clouds, which can measure at most four times the expected
+                // number of particles.
                 cases.extend(
                     [(density, COUNTING), (density.min(3.5), CLOUD)]
                         .map(|(density, indicator)| (density, disorder, cell, indicator)),
@@ -274,8 +275,8 @@ fn duplicates_and_clumps_do_not_move_the_surface_elsewhere() {
                 for moved in
                     [displacements(&clean, &with, there), displacements(&with, &clean, there)]
                 {
-                    // A few vertices may move far: vertices on an edge that is nearly tangent to
-                    // the surface, and vertices that appear or disappear when one sample changes
+                    // A few vertices may move far: vertices on a dual edge that is nearly tangent
+                    // to the surface, and vertices that appear or disappear when one sample changes
                     // its sign.
                     let [most, all] =
                         [moved[moved.len() * 9 / 10], moved[moved.len() - 1]].map(|d| d / spacing);

@@ -186,7 +186,7 @@ fn lines_beside_particles_are_left_out_in_every_vtk_format() {
             assert_eq!(opened.left_out, [block("gauges", "lines")], "{file}");
             assert_eq!(opened.unselected, unselected, "{file}");
         }
-        // Bonds between vertices are no reason to leave out the vertices.
+        // If a file also has vertex cells, its points are kept, even if lines connect them.
         let bonded = content
             .replace("NumberOfLines", "NumberOfVerts='2' NumberOfLines")
             .replace("4 3", "1 3")
@@ -285,7 +285,8 @@ fn no_particle_of_a_data_set_without_the_attribute_meets_a_condition() {
     assert_eq!((file.unselected, file.left_out), (4, vec![block("Planes", "a mesh of 2 faces")]));
     // Without the attribute, no comparison is true.
     assert_eq!(along(&listed.open_where("Part type!=0").unwrap()), [8.0]);
-    // If no particle meets the condition, the fault describes the particles with the attribute.
+    // If no particle meets the condition, the fault counts only the particles that have the
+    // attribute.
     let none = listed.open_where("Part type=7").unwrap();
     assert_eq!((none.particles.len(), none.unselected), (0, 6));
     assert_eq!(none.particles.attributes(), [AttributeInfo::new("Part type", 1)]);

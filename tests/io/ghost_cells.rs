@@ -272,7 +272,7 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
         let values = positions(&read(&whole, step).unwrap());
         let read = |bytes: &[u8]| {
             let (result, largest) = memory::largest_allocation(|| read(bytes, step));
-            // An uncompressed file never needs a larger block of memory.
+            // Reading an uncompressed file never needs a block of memory larger than 64 MiB.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };

@@ -101,7 +101,7 @@ fn numeric_members_of_a_compound_table_are_read_as_columns() {
 fn arrays_with_components_along_the_first_axis_are_read() {
     let columns = open("columns.h5").unwrap();
     assert_eq!((positions(&columns), columns.time), (points(0.0), Some(0.5)));
-    // The reference configuration is not a position.
+    // The array `X`, the reference configuration, must become an attribute and not the position.
     assert_eq!(names(&columns), [("X", 3), ("v", 3), ("C", 9)]);
     let doubled: Vec<f32> = points(0.0).as_flattened().iter().map(|x| (2.0 * x) as f32).collect();
     assert_eq!(attribute(&columns, "v"), doubled);

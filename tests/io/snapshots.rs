@@ -321,7 +321,7 @@ fn damaged_files_cause_neither_panics_nor_large_allocations() {
                 );
                 open_type(&opened, None)
             });
-            // An uncompressed file never needs a larger block of memory.
+            // Reading an uncompressed file never needs a block of memory larger than 64 MiB.
             assert!(largest <= 64 << 20, "{name}: {largest} bytes");
             result.map(|file| positions(&file))
         };

@@ -698,7 +698,8 @@ fn a_wall_that_the_fluid_almost_reaches_and_coarse_cells_are_reported() {
         let errors = errors(&["--spacing", "1", "--domain", &domain]);
         assert_eq!(errors.contains(before_wall), is_reported, "{gap}: {errors}");
     }
-    // Two layers are too shallow to show a wall, but they show where the wall of the domain is.
+    // Two layers are too shallow for the detection of walls, but they suffice to show that the
+    // fluid ends just short of the domain's wall.
     for (jitter, gap, is_reported) in
         [(0.0, 0.0, false), (0.0, 0.5, true), (0.3, 0.0, false), (0.3, 0.8, true)]
     {

@@ -250,8 +250,8 @@ fn threads_can_make_surfaces_of_one_sampled_frame_at_the_same_time() {
     let request = Reconstruction::new().spacing(1.0).threads(2);
     let alone = bytes_of(&request.sample(&water).unwrap().surface().unwrap());
     for _ in 0..20 {
-        // Use a new frame in each round, because its levels are not computed yet. All threads share
-        // the thread pool of the frame.
+        // Use a new frame in each round, because the wide cells of a new frame are not computed
+        // yet. All threads share the thread pool of the frame.
         let frame = Arc::new(request.sample(&water).unwrap());
         let (done, results) = std::sync::mpsc::channel();
         for _ in 0..3 {

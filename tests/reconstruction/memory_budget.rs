@@ -49,7 +49,8 @@ fn spilling_particles_field_and_surface_does_not_change_the_mesh() {
             let surfacing =
                 Surfacing { detail: Detail::Recovered, normals: Normals::Gradient, ..surfacing() };
             let (_, expected) = reconstruct(&particles, &sampling, &surfacing);
-            // These budgets are so small that each share of the memory has its minimum size.
+            // These budgets are so small that the plan assigns the minimum amount of memory to each
+            // use.
             for budget in [1 << 18, 1 << 20, 1 << 22] {
                 let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
                 let sampling = Sampling { resources, ..sampling.clone() };

@@ -34,10 +34,10 @@ const METHODS: [KernelMethod; 3] = [
     KernelMethod::YuTurk { iso: 0.4 },
 ];
 
-/// Particles with an attribute "direction", which depends on a particle's position in `first`.
-/// Further particles repeat the directions of `first`. Every direction has a component of 1, which
-/// is also the greatest magnitude. Therefore, the library rounds the attribute in the same way in
-/// every block that contains particles.
+/// Particles with an attribute "direction". The direction of particle i is computed from the
+/// coordinates of particle i of `first`, and further particles repeat these directions. Every
+/// direction has a component of 1, which is also the greatest magnitude. Therefore, the library
+/// rounds the attribute in the same way in every block that contains particles.
 fn with_directions(particles: &[[f64; 3]], first: &[[f64; 3]]) -> Attributed {
     let direction = |[x, _, z]: [f64; 3]| [(x as f32).sin(), 1.0, (z as f32).cos()];
     Attributed::new(particles.to_vec()).with("direction", |i, _| direction(first[i % first.len()]))

@@ -143,9 +143,9 @@ fn stretched_filaments_of_particles_stay_connected() {
     }
 }
 
-/// A pool six particles deep. A crown of one layer stands on it, and a filament stands in the
-/// middle of the crown. Both are stretched. All particles are jittered and rotated against the
-/// grid.
+/// A pool six particles deep. A crown (a tube of one layer of particles) stands on it, and a
+/// filament stands in the middle of the crown. The crown and the filament are stretched. All
+/// particles are jittered and rotated against the grid.
 fn splash(stretch: f64) -> Vec<[f64; 3]> {
     let mut random = Random::new(19);
     let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.7, 0.4, 0.3);

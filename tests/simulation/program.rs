@@ -1163,7 +1163,8 @@ fn parallel_frames_stay_within_the_memory_budget() {
         run(folder.path(), &[&arguments[..], options, &["--stats", &stats]].concat(), 0);
         let text = fs::read_to_string(folder.path().join(stats)).unwrap();
         let last: Value = serde_json::from_str(text.lines().last().unwrap()).unwrap();
-        // The peak also includes mapped pages of the inputs, up to 4 MB for each of two lanes.
+        // The peak also includes mapped pages of the inputs, up to 4 MB for each of two frames that
+        // are converted in parallel.
         let budget: u64 = memory.trim_end_matches("MiB").parse::<u64>().unwrap() << 20;
         let most = budget + 2 * 4_000_000;
         assert!(last["peak_resident_bytes"].as_u64().unwrap() <= most, "{memory}: {last}");

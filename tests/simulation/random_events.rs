@@ -30,7 +30,7 @@ struct Sequence {
     /// Number of inputs that were written. Each input is different.
     written: u64,
     /// Whether records were damaged. The program treats a mesh without a record as a foreign file.
-    /// If the input of this frame now gives a different mesh, only `--overwrite` replaces the file.
+    /// If the input of its frame now gives a different mesh, only `--overwrite` replaces the file.
     lost_records: bool,
     format: &'static str,
     history: String,

@@ -14,8 +14,9 @@
 // - ellipsoids: OpenVDB's defaults, with half a spacing as the radius. The search radius is 2.5
 //   spacings, so that particles at the surface also have the 20 neighbours that the default
 //   threshold requires.
-// - tuned: like ellipsoids, but three neighbours suffice for an ellipsoid, so that the surface of a
-//   level pool is level and sheets do not tear.
+// - tuned: like ellipsoids, but with a radius of 1.2 spacings, with 0.5 for averagePositions and
+//   nonAnisotropicStretch, and with 3 as the required number of neighbours of an ellipsoid, so that
+//   the surface of a level pool is level and sheets do not tear.
 #include <openvdb/openvdb.h>
 #include <openvdb/points/PointConversion.h>
 #include <openvdb/points/PointRasterizeSDF.h>

@@ -127,8 +127,8 @@ fn truth(options: &Options, solid: &Solid, method: &Method) -> Outcome<()> {
     let full = FULL_COLOUR as f32;
     write(&camera.coloured(&mesh, SIZE, by_distance, Some([-full, full]))?, &png)?;
     println!(
-        "- {}, {}: {} by {}, from blue {FULL_COLOUR} spacings inside the true surface to red as \
-         far outside",
+        "- {}, {}: {} by {}, from blue ({FULL_COLOUR} spacings inside the true surface) to red \
+         (the same distance outside)",
         png.display(),
         ply.display(),
         solid.name,

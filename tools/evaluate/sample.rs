@@ -12,7 +12,8 @@ use rayon::prelude::*;
 use crate::scene::Random;
 use crate::shapes::Solid;
 
-/// Edge of a block of lattice points. One depth query often decides for a whole block.
+/// Edge of a block of lattice points. One depth query often shows that all points of a block are
+/// inside the body, or that all are outside.
 const BLOCK: i32 = 4;
 
 /// The lattice of particles that fills a body.

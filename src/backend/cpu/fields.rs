@@ -21,7 +21,8 @@ use crate::grid::units::Isovalue;
 use crate::grid::{CellBox, Mirror};
 use crate::surface::solid::Solid;
 
-/// Number of samples that one pass tests.
+/// Number of samples that are tested at a time. A test of a block stops after the first such piece
+/// that decides it.
 const PIECE: usize = 1 << 10;
 
 /// A block is sparse if at most one in `SPARSE_RATIO` samples is nonzero.
@@ -118,7 +119,7 @@ fn outside_of(
     Some(shares)
 }
 
-/// Distance, in cells, beyond a solid's offset within which the field is cut. It is large enough
+/// The distance, in cells, up to which the field is cut beyond a solid's offset. It is large enough
 /// for normals, which use two cells beyond a vertex's cell.
 pub(super) const CUT: i32 = 3;
 
@@ -205,8 +206,8 @@ pub(super) struct Blocks<'a> {
     density: Option<Density<'a>>,
     /// A solid that may be near, if there is one.
     solid: Option<&'a Solid>,
-    /// The share of each cell that is outside the solid; `None` if clouds have not been continued
-    /// into a solid.
+    /// The share of each cell's cloud that is outside the solid; `None` if clouds have not been
+    /// continued into a solid.
     outside: Option<Rc<Block>>,
     /// The requested cells of the field.
     cells: CellBox,

@@ -351,9 +351,9 @@ impl<'a> SizedField<'a> {
     }
 
     /// The share of the density around the octave's wide cells `wide` that belongs to coarser
-    /// octaves. A particle of the octave belongs in part to the next octave: its share is log2(s),
-    /// where s is its size divided by the smallest size of the octave. The result is `None` if
-    /// neither this octave nor a finer octave has particles there.
+    /// octaves. A particle of the octave belongs in part to the next octave: the next octave's
+    /// share is log2(s), where s is the particle's size divided by the smallest size of the octave.
+    /// The result is `None` if neither this octave nor a finer octave has particles there.
     fn coarser(&self, octave: usize, wide: CellBox) -> Option<Block> {
         let level = self.distances(octave).level;
         let around = wide.grown(self.averaging.reach(), self.averaging.reach());

@@ -33,7 +33,8 @@ const BLOCK_ROOM: u64 = 6144;
 const MOST_VERTICES: u64 = 3 * (BLOCK * BLOCK * BLOCK) as u64;
 
 /// Number of fields on wide cells that exist at once: the clouds, which become the distances of
-/// outlying particles; two surfaces and their difference; the spread distances; and a temporary.
+/// particles outside the calm surface; two surfaces and their difference; the spread distances; and
+/// a temporary.
 pub(super) const WIDE_FIELDS: usize = 6;
 /// Number of fields on wide cells that sheets need: the clouds, their smoothed density, and a
 /// temporary.

@@ -109,8 +109,8 @@ impl PaddedFields<'_> {
         Ok(Rc::new(PaddedSamples { samples: to, margin: 0, grid }))
     }
 
-    /// Maps each block of the grid number `grid` to the block of the grid number `other` that
-    /// contains it, by its number.
+    /// For each block of the grid number `grid`, the number of the block of the grid number `other`
+    /// that contains it.
     fn within(&self, grid: usize, other: usize) -> View {
         let mut known = self.grids[grid].within.iter();
         let (_, numbers) = known

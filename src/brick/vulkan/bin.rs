@@ -1,9 +1,10 @@
 //! Binning on a device: the counting sort of [`BinPlan`](crate::brick::BinPlan), with a hash table
 //! of bins.
 //!
-//! Positions are read once, in chunks. For every particle, a shader computes its place with
-//! integers that emulate the host's f64 arithmetic, finds or inserts its bin in the table, and
-//! counts it there. The host sorts the bins. Then a shader moves every particle to its bin's slots.
+//! Positions are read once, in chunks. For every particle, shaders compute the bin and the position
+//! in the bin with integers that emulate the host's f64 arithmetic, find or insert the bin in the
+//! table, and count the particle there. The host sorts the bins. Then a shader moves every particle
+//! to its bin's slots.
 
 use std::ops::Range;
 use std::sync::Arc;

@@ -169,8 +169,9 @@ pub struct DevicePages {
     pub pages: View,
     /// The arrangement of the samples in pages.
     pub shape: PageShape,
-    /// The sample of a cell for each number of particles. The last entry, 1, also applies to all
-    /// larger numbers. This table is used only if pages contain numbers of particles.
+    /// The sample of a cell for each number of particles. The last entry, which represents 1, also
+    /// applies to all larger numbers. This table is used only if pages contain numbers of
+    /// particles.
     pub theta: View,
     /// The number of entries of `theta`; 0 if pages contain the DIF.
     pub decode: u32,

@@ -15,8 +15,8 @@ pub trait BlurSample: Copy + Default + PartialEq {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, axis: usize);
 }
 
-/// Blurs `block` with `weights` along x, then y, then z. The input must be mirrored by `mirror`.
-/// The result is also mirrored, for the next filter.
+/// Blurs `block` with `weights` along x, then y, then z. Beyond walls, the input must contain the
+/// mirror images that `mirror` makes. The result also contains them, for the next filter.
 ///
 /// The result is smaller than the input by the weights' reach on every side: it has exactly the
 /// cells whose whole neighbourhood is in the input.
@@ -151,7 +151,8 @@ impl BlurSample for u16 {
     }
 }
 
-/// Sums of attributes, blurred with the same weights as fractions of 1. Taps are added in order.
+/// Sums of attributes. The blur divides the integer weights by their sum, and adds the taps in
+/// order.
 impl BlurSample for f64 {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, _: usize) {
         blur_float(to, taps, step, weights.half());

@@ -1,9 +1,10 @@
-//! Smoothing (section 4.2): separable filters along x, then y, then z.
+//! Smoothing (section 4.2 of the paper): separable filters along x, then y, then z.
 //!
 //! Along each axis, a cell becomes (sum over taps of weight * sample + 32768) >> 16, with integer
-//! weights that sum to 65536. A result is within the range of its samples. A filter with a gain of
-//! g bits shifts the sum along its last axis by 16 - g bits instead of 16, and saturates at 65535.
-//! A wide filter makes samples small, and the gain preserves their resolution.
+//! weights that sum to 65536. Without a gain, each result lies between the smallest and the
+//! greatest of its samples. With a gain of g bits, a filter shifts the sum along its last axis by
+//! 16 - g bits instead of 16, and saturates at 65535. A wide filter makes samples small, and the
+//! gain preserves their resolution.
 //!
 //! A filter reaches [`Weights::reach`] cells along every axis, and its result is smaller than its
 //! input by this reach on every side.

@@ -1,4 +1,4 @@
-//! The filters that compute the smoothed DIF (section 4.2).
+//! The filters that compute the smoothed DIF (section 4.2 of the paper).
 
 use crate::brick::Block;
 use crate::field::indicator::IndicatorKind;

@@ -1,5 +1,5 @@
-//! Detail recovery (section 6.2): samples that smoothing reduced to the isovalue or below are
-//! smoothed again with a narrower filter.
+//! Detail recovery (section 6.2 of the paper): samples that smoothing reduced to the isovalue or
+//! below are smoothed again with a narrower filter.
 //!
 //! theta_bar(K) is theta(K) where theta_smooth(K) <= c, and 0 elsewhere. The field of each cell is
 //! max(theta_smooth, blur(theta_bar)), where the blur is a second Gaussian, of sigma / 2.

@@ -15,7 +15,7 @@ use super::{
 /// 1024 steps. The other bits are the index of the lower entry.
 const BETWEEN_BITS: u32 = 5;
 
-/// The greatest share, 1.
+/// The share 1: a share is a fraction, in 32768ths.
 const WHOLE: u32 = 1 << 15;
 
 /// For each step of a table, its entry and the difference to the next entry. The array is as long
@@ -302,7 +302,8 @@ fn wide_means(to: &mut [u16], weights: [u32; 3], [below, own, above]: [&[u16]; 3
     }
 }
 
-/// Clouds divided by the clouds around them, in units of 1 / 2^`bits`, on the cells of `around`.
+/// The density of clouds, divided by the smoothed density `around`, in units of 1 / 2^`bits`, on
+/// the cells of `around`.
 ///
 /// # Panics
 /// If `clouds` does not cover `around`.
@@ -345,8 +346,8 @@ pub fn greatest_of(samples: &[u16]) -> u16 {
     greatest
 }
 
-/// The smallest box around those of the `cells` near which a particle lies more than `begin`
-/// outside the calm surface.
+/// The smallest box around the cells in `cells` whose sample in `near` exceeds `begin`: a nearby
+/// particle lies more than `begin` outside the calm surface.
 ///
 /// # Panics
 /// If `near` does not cover `cells`.
@@ -365,8 +366,8 @@ pub fn outlying_part(near: &Block, cells: CellBox, begin: u16) -> CellBox {
     part
 }
 
-/// The distance from a drop's middle at which the drop has the given `share`. The standard
-/// deviation of the drop is `width`, and the result is in the same unit.
+/// The distance from a drop's middle at which the drop's Gaussian is `share` times its maximum. The
+/// standard deviation of the Gaussian is `width`, and the result is in the same unit.
 #[inline(always)]
 pub fn away(share: u16, width: i32) -> i32 {
     let (low, more, between) = entry(&AWAY_STEPS, u32::from(share).min(WHOLE));

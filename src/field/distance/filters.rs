@@ -15,8 +15,8 @@ use super::{
     Bulk, Drops, FARTHEST, InsideBricks, Ramp, StandsOut, UNITS, Width, ZERO, away, wide_cells,
 };
 
-/// The widths of the Gaussians that smooth clouds, relative to the requested width. The first two
-/// give the fine surface, the last two the calm surface.
+/// The widths of the Gaussians that smooth clouds, relative to the width that `--smooth` requests.
+/// The first two give the fine surface, the last two the calm surface.
 const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
 /// The cut-off of the Gaussians of these widths, in standard deviations.
 const CUT: f64 = 2.2;
@@ -52,12 +52,12 @@ const SHEETS_APART: [f64; 2] = [0.35, 0.45];
 const DROP_WIDTH: f64 = 0.6;
 /// The radius, in spacings, of a single particle's drop in fine cells.
 const DROP_RADIUS: f64 = 0.55;
-/// The decrease of the drop radius in coarse cells: in spacings, divided by the square of the cell
-/// edge in spacings. The first number is for drops without refinement by splines, and the second is
-/// for drops with it. The decrease corrects for the wider clouds in coarse cells, and for the
-/// splines. The drop of one particle then has a volume of 0.99 cubed spacings in cells of 1/8 of a
-/// spacing, and of 0.94 in cells of 1/4. In cells of 1/3 to 2/3 of a spacing, the volume is about
-/// 0.8 and depends on the particle's position.
+/// The drop radius, in spacings, decreases by one of these numbers times the squared edge of a cell
+/// in spacings. The first number is for drops without refinement by splines, and the second is for
+/// drops with it. This decrease corrects for the wider clouds in coarse cells, and for the splines.
+/// The drop of one particle then has a volume of 0.99 cubed spacings in cells of 1/8 of a spacing,
+/// and of 0.94 in cells of 1/4. In cells of 1/3 to 2/3 of a spacing, the volume is about 0.8 and
+/// depends on the particle's position.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 /// The minimum drop radius, in spacings, for cells that hardly resolve a single particle.
 const LEAST_DROP_RADIUS: f64 = 0.38;
@@ -100,10 +100,10 @@ pub struct DistanceFilters {
 /// given spacing implies, for example because the given spacing is 1.5 times the true one.
 pub const BULK_GAIN: u32 = 2;
 
-/// A Gaussian filter, and the standard deviation, in cells, of a cloud that it smoothed. The
-/// variance of a smoothed cloud is the filter's variance plus the cloud's own variance, a quarter
-/// of a squared cell. The standard deviation is `cells`, unless the filter's variance would then be
-/// less than `least`.
+/// A Gaussian filter, and the standard deviation, in cells, of a cloud after smoothing by this
+/// filter. The variance of a smoothed cloud is the filter's variance plus the cloud's own variance,
+/// a quarter of a squared cell. The standard deviation is `cells`, unless the filter's variance
+/// would then be less than `least`.
 pub(in crate::field) fn gaussian(cells: f64, least: f64, cut: f64) -> (Weights, f64) {
     let variance = (cells * cells - 0.25).max(least);
     let weights = Weights::of_variance(variance, (cut * variance.sqrt()).round().max(1.0) as i32);
@@ -365,7 +365,7 @@ impl Drops {
         self.around.reach() + self.spread.reach()
     }
 
-    /// The smallest share that occurs on the surface of a drop or inside the drop.
+    /// The smallest share N (step 4 in `mod.rs`) on the surface of a drop or inside it.
     #[must_use]
     pub fn least_share(&self) -> u16 {
         let (mut outside, mut inside) = (0, u16::MAX);

@@ -19,7 +19,8 @@ use crate::grid::{BIN, CellBox, MortonKey, local_morton};
 pub const BRICK: i32 = 4;
 /// Number of bricks along the edge of a bin.
 const BRICKS: i32 = BIN / BRICK;
-/// The step by which cubes slide, in wide cells.
+/// The edge, in wide cells, of the parts into which bricks are divided. Cubes consist of whole
+/// parts, and slide in steps of one part.
 pub(super) const PART: i32 = 2;
 /// The minimum edge of the cubes that must be full, in spacings.
 const CUBE: f64 = 4.0;
@@ -249,7 +250,7 @@ impl InsideBricks {
         rest
     }
 
-    /// Sets the samples of a field of wide cells to the maximum in inside bricks.
+    /// In inside bricks, sets the samples of a field of wide cells to the maximum sample.
     pub fn raise(&self, field: &mut Block) {
         let cells = field.cells();
         for brick in self.bricks(cells) {

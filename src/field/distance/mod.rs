@@ -6,7 +6,7 @@
 //!
 //! 1. Depth. A half space smoothed by a Gaussian of standard deviation s is Phi(depth / s). Where
 //!    the clouds' density, smoothed in this way, is theta times the plateau, D_s = s Phi^-1(theta)
-//!    is therefore the depth. It is limited to 2.5 d in both directions.
+//!    is therefore the depth. D_s is limited to the range from -2.5 d to 2.5 d.
 //! 2. Extrapolated. Curvature changes D_s in proportion to s^2, so a line through two widths gives
 //!    the depth for width 0: E(a, b) = D_a + (D_a - D_b) a^2 / (b^2 - a^2). If splines interpolate
 //!    wide cells, the extrapolation goes to a variance of -1/8 squared wide cells instead of 0,
@@ -20,11 +20,11 @@
 //!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and the
 //!    particle's drop is a ball of radius r, with the signed distance r - 0.6 sqrt(2 ln(1 / N)). N
 //!    is computed on cells half as wide as wide cells. If the wide cells are the grid's own cells,
-//!    N is computed on these cells.
+//!    N is computed on these cells. Values of N are called shares, and are stored in 32768ths.
 //! 5. Joined. A particle stands out if its centre lies outside the calm surface, by the distance O
-//!    = -E of its wide cell. The greatest O within a spacing determines to what degree drops
-//!    replace the bulk's surface: not at all up to 0.4 d, and completely from 1 d on. Where the
-//!    fine and the calm surface differ, [sheets](super::sheets) stand out up to 0.35 d earlier.
+//!    = -E(S, 3/2 S) of its wide cell. The greatest O within a spacing determines to what degree
+//!    drops replace the bulk's surface: not at all up to 0.4 d, and completely from 1 d on. Where
+//!    the fine and the calm surface differ, [sheets](super::sheets) stand out up to 0.35 d earlier.
 //!    Where no particle is near, there is no surface.
 //!
 //! All blurs use [`blur`](super::blur), quadratic B-splines interpolate wide cells, and ramps are 3
@@ -203,9 +203,10 @@ pub struct Depths<T> {
 pub struct Drops {
     /// The filter that sums the clouds around each cell.
     pub around: Weights,
-    /// The filter that spreads the quotients.
+    /// The filter that smooths the quotients rho / (G * rho) of step 4 in
+    /// [`distance`](crate::field::distance).
     pub spread: Weights,
-    /// Number of fraction bits of a quotient, before it is spread.
+    /// Number of fraction bits of a quotient, before it is smoothed.
     pub bits: u32,
     /// The radius of a single particle's drop, in units.
     pub radius: i32,

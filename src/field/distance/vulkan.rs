@@ -17,7 +17,8 @@ use crate::vulkan::{Batch, ComputePipeline, View, VulkanError};
 use super::inside::PART;
 use super::{AWAY, Bulk, DEPTHS, Drops, StandsOut};
 
-/// Edge, in parts, of the largest cubes that the shader of [`full_bricks`] supports.
+/// Edge, in parts of [`PART`] wide cells, of the largest cubes that the shader of [`full_bricks`]
+/// supports.
 const WIDEST_CUBE: u32 = 4;
 /// Number of parts along the edge of a bin.
 const BIN_PARTS: u32 = (BIN / PART) as u32;
@@ -42,7 +43,7 @@ pub struct DistancePipelines {
     pub refine: Arc<ComputePipeline>,
     /// Searches wide cells for a surface, and for particles that stand out.
     pub probe: Arc<ComputePipeline>,
-    /// Clouds divided by the clouds around them.
+    /// The density of clouds, divided by the smoothed density.
     pub quotient: Arc<ComputePipeline>,
     /// The surface of the bulk, blended with drops.
     pub join: Arc<ComputePipeline>,
@@ -260,7 +261,7 @@ pub fn refine(
     batch.dispatch(&pipelines.refine, &views, &push, blocks.run_groups(&pipelines.refine))
 }
 
-/// Divides clouds by the clouds around them.
+/// Divides the density of clouds by the smoothed density `around`.
 ///
 /// # Errors
 /// If a view is larger than the storage range of the device, or if the driver fails.

@@ -177,13 +177,15 @@ fn shares(offset: u32) -> [u32; 3] {
     [below, (1 << SHARE_BITS) - below - above, above]
 }
 
-/// A share of an amount, rounded. Their product plus half of 2^`SHARE_BITS` must fit in 32 bits.
+/// A share of an amount, rounded. `amount` times `share`, plus half of 2^`SHARE_BITS`, must fit in
+/// 32 bits.
 #[inline(always)]
 fn part_of(amount: u32, share: u32) -> u32 {
     (amount * share + (1 << (SHARE_BITS - 1))) >> SHARE_BITS
 }
 
-/// A share of an amount, rounded. Their product plus half of 2^`SHARE_BITS` must fit in 48 bits.
+/// A share of an amount, rounded. `amount` times `share`, plus half of 2^`SHARE_BITS`, must fit in
+/// 48 bits.
 #[inline(always)]
 fn wide_part_of(amount: u32, share: u32) -> u32 {
     ((u64::from(amount) * u64::from(share) + (1 << (SHARE_BITS - 1))) >> SHARE_BITS) as u32

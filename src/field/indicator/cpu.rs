@@ -12,9 +12,9 @@ use crate::grid::{BIN, FRACTIONS};
 
 use super::{Amount, Clouds, IndicatorKind, PageRule};
 
-/// Number of parts of a step. A centroid's distance along each axis is rounded to a whole number of
-/// such parts. A rounded distance is then at most 4 F, so the sum of three squares fits into 32
-/// bits.
+/// The number of parts into which a step of h / F (see `mod.rs`) is divided. A centroid's distance
+/// along each axis is rounded to a whole number of such parts. A rounded distance is then at most 4
+/// F, so the sum of three squares fits into 32 bits.
 pub const DISTANCE_SCALE: u64 = 4;
 /// 65535 / (sqrt(3) 4 F), with 15 fraction bits.
 pub const THETA_PER_DISTANCE: u32 = 37837;

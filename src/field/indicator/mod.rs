@@ -1,11 +1,11 @@
-//! The discrete indicator function (section 4.1), as integers from 0 to 65535.
+//! The discrete indicator function (section 4.1 of the paper), as integers from 0 to 65535.
 //!
 //! Counting (eq. 6): theta = min(N, mu0) / mu0, rounded to the nearest integer.
 //!
-//! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). For N particles whose offsets in the cell
-//! sum to S in steps of h / F, where each offset stands for the middle of its step, the centroid is
-//! at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes 1 - |D| / (sqrt(3) N F) with
-//! D = |2 S + N - N F|.
+//! Symmetry (eq. 7): theta = 1 - 2 |c - p| / (sqrt(3) h). Offsets in the cell are integers from 0
+//! to F - 1, in steps of h / F, and each offset stands for the middle of its step. If the offsets
+//! of N particles sum to S, the centroid is at (2 S + N) / (2 N F) of the edge, and eq. 7 becomes
+//! 1 - |D| / (sqrt(3) N F) with D = |2 S + N - N F|.
 //!
 //! Counting and symmetry depend only on the particles in the cell, and jump when a particle moves
 //! from one cell to the next. If layers of particles are parallel to layers of cells, such a jump

@@ -251,7 +251,7 @@ impl SheetConstants {
         x + y + z >= i32::from(ROUND.begin) + i32::from(ROUND.range)
     }
 
-    /// A cell's share of a sheet, and the certainty of the sheet.
+    /// The share and the certainty of a sheet at a cell.
     #[inline(always)]
     fn sheet(&self, taps: &Taps) -> (u16, u16) {
         let slope = |axis: usize| {

@@ -32,14 +32,15 @@
 //!    projection. The squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at
 //!    their rims, and often twice as large in spray. At the corners of a sheet, this distance is as
 //!    large as in spray, and the middle seems far away. But at corners, det(I - B), the product of
-//!    the particles' variances, shows that the particles lie in a plane, so the limits of both
-//!    conditions are wider. A thick body (T < 0.4), its surface (det(I - B) > 0.35) and a drop of a
-//!    few particles (T > 2.45) are not sheets.
+//!    the particles' variances, shows that the particles lie in a plane, so the limits for the
+//!    distance from a projection and for the middle are wider there. A thick body (T < 0.4), its
+//!    surface (det(I - B) > 0.35) and a drop of a few particles (T > 2.45) are not sheets.
 //! 6. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no isolated
 //!    single cells remain at rims and in spray. The average is the weight with which the shares of
-//!    the sheet replace the shares of drops (see [`distance`](super::distance)). The shares of the
-//!    sheet have a profile of the minimum width for the cells, and have the level of a drop's
-//!    surface at the distance R from the middle.
+//!    the sheet replace the shares of drops (see [`distance`](super::distance)). Across the sheet,
+//!    its shares have a Gaussian profile of the width `PROFILE` or, in coarse cells,
+//!    `PROFILE_CELLS`. At the distance R from the middle, they have the value of the shares on a
+//!    drop's surface.
 //! 7. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
 //!    times its certainty, because the surface of the bulk vanishes from a sheet before the sheet's
 //!    particles stand out.

@@ -1,9 +1,11 @@
 //! Fits a linear function to the density around each cell (moving least squares, Lancaster and
 //! Salkauskas 1981).
 //!
-//! The fit needs weighted sums of the shares, the densities and their products with coordinates.
-//! The weights are a Gaussian, so each sum is computed along x, then along y, then along z. A sum
-//! always adds its terms in the same order, so it does not depend on the box of cells in a request.
+//! Each cell has a share: the factor, from 0 to 1, by which its density counts in a fit. The fit
+//! needs weighted sums of the shares and of the products of share and density, each also multiplied
+//! by coordinates. The weights are a Gaussian, so each sum is computed along x, then along y, then
+//! along z. A sum always adds its terms in the same order, so it does not depend on the box of
+//! cells in a request.
 
 use std::collections::VecDeque;
 
@@ -17,11 +19,11 @@ use crate::grid::CellBox;
 
 use super::WHOLE;
 
-/// The fit needs at least this share of its Gaussian outside the solid.
-const LEAST: f64 = 0.004;
-/// The variance that is added to the variances of the fitted positions, as a fraction of the
-/// Gaussian's variance. If all positions lie in a plane, this variance keeps the linear function
-/// nearly constant across the plane. If there are few positions, it keeps the function nearly
+/// The minimum weighted sum of the shares for a fit. The sum would be 1 if all shares were 1.
+const LEAST_SUM: f64 = 0.004;
+/// The variance that is added to the variances of the positions of a fit's cells, as a fraction of
+/// the Gaussian's variance. If all cells of a fit lie in a plane, this variance keeps the linear
+/// function nearly constant across the plane. If a fit has few cells, it keeps the function nearly
 /// constant in all directions.
 const STIFFNESS: f64 = 0.01;
 /// Number of different sums along x.
@@ -41,7 +43,8 @@ type Plane = [Vec<f64>; ALONG_Y.len()];
 pub struct LinearFit<'a> {
     dense: &'a Block,
     usable: &'a Block,
-    /// The greatest density of the usable cells that each fit uses.
+    /// For each cell, the greatest density among the cells within the Gaussian's reach whose share
+    /// is not 0.
     greatest: Block,
     /// The weights, times the distance from the centre to the power of 0, 1 and 2.
     weights: [Vec<f64>; 3],
@@ -53,8 +56,8 @@ pub struct LinearFit<'a> {
 }
 
 impl<'a> LinearFit<'a> {
-    /// Prepares fits with the weights `gaussian` at the cells of `part`. `usable` is the weight of
-    /// each cell, in units of 1 / [`WHOLE`], and `dense` the density of each cell.
+    /// Prepares fits with the weights `gaussian` at the cells of `part`. `usable` is the share of
+    /// each cell, in units of 1 / [`WHOLE`], and `dense` is the density of each cell.
     ///
     /// # Panics
     /// If `dense` and `usable` do not consist of `part` and a halo of the reach of `gaussian`.
@@ -75,16 +78,16 @@ impl<'a> LinearFit<'a> {
         Self { dense, usable, greatest, weights, stiffness, planes, next }
     }
 
-    /// Memory, in bytes, of the sums for a box whose faces along x and y have `cells` cells,
+    /// Memory, in bytes, of the sums for a box that has `cells` cells at each z coordinate,
     /// including its halo.
     pub fn bytes(gaussian: &Weights, cells: usize) -> usize {
         let planes = gaussian.half().len() * 2 * ALONG_Y.len();
         (planes + ALONG_X) * cells * size_of::<f64>()
     }
 
-    /// The value, at `cell`, of the linear function that best fits the density around the cell. It
-    /// is limited to the range from 0 to the maximum density around the cell. Returns `None` if too
-    /// little fluid is within reach.
+    /// The value, at `cell`, of the linear function that best fits the density around the cell. The
+    /// value is limited to the range from 0 to the maximum density of the fit's cells. Returns
+    /// `None` if too little fluid is within the Gaussian's reach.
     pub fn at(&mut self, cell: IVec3) -> Option<u64> {
         self.make_planes_around(cell.z);
         let CellBox { lo, .. } = self.greatest.cells();
@@ -105,7 +108,7 @@ impl<'a> LinearFit<'a> {
             total += weight * f;
             moment += DVec3::new(weight * fx, weight * fy, z * f);
         }
-        if sum < LEAST * f64::from(WHOLE) {
+        if sum < LEAST_SUM * f64::from(WHOLE) {
             return None;
         }
         let (middle, mean, slope) = (first / sum, total / sum, moment / sum);

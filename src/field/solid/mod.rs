@@ -55,8 +55,8 @@ const THICK_NEAR: f64 = 2.0;
 /// The range of the density under a Gaussian of [`BULK_WIDTH`] in which fluid begins to count as
 /// thick.
 const IS_THICK: Ramp = Ramp::in_plateaus([0.4, 0.55]);
-/// Fluid is also thick if its mean density is high, even deep in a solid. This is the range of the
-/// mean in which it begins to count as thick.
+/// The range of the mean density under the Gaussian of [`MEAN`] in which fluid begins to count as
+/// thick, even around cells that are deep in a solid.
 const IS_THICK_IN_MEAN: Ramp = Ramp::in_plateaus([0.65, 0.85]);
 /// A mean needs at least this share of its Gaussian outside the solid; otherwise, it is 0.
 const MEAN_LEAST: u16 = WHOLE >> 7;

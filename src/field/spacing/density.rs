@@ -110,7 +110,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
 
 /// A region counts as a separate resolution only if it has at least this share of the fluid's
 /// volume or of its particles.
-const PART: f64 = 0.05;
+const REGION: f64 = 0.05;
 /// The minimum number of particles in a cell of a separate resolution: with fewer, the particles
 /// could be spray.
 const ENOUGH_IN_CELL: usize = 4;
@@ -144,9 +144,10 @@ fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
     };
     let (thin, thinner) = (between(0.25, 0.5), between(0.0, 0.25));
     let (dense, denser) = (between(2.0, 4.0), between(4.0, f64::INFINITY));
-    let other = if cells(thinner) >= PART * cells(&counts) && cells(thinner) > 2.0 * cells(thin) {
+    let other = if cells(thinner) >= REGION * cells(&counts) && cells(thinner) > 2.0 * cells(thin) {
         thinner
-    } else if particles(denser) >= PART * total as f64 && particles(denser) > 2.0 * particles(dense)
+    } else if particles(denser) >= REGION * total as f64
+        && particles(denser) > 2.0 * particles(dense)
     {
         denser
     } else {

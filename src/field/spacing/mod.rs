@@ -3,9 +3,9 @@
 //!
 //! Two estimates check each other. `density` counts particles in cells; the result is accurate in
 //! deep fluid, but too large in thin fluid with gaps. `neighbours` measures the density around
-//! single particles. If both agree, the result is the spacing from counting. Otherwise, or if no
-//! fluid is deep enough to count, the result comes from the neighbours. An unreliable
-//! [`SpacingEstimate`] is marked as thin.
+//! single particles. If the two estimates agree, the result is the spacing from counting.
+//! Otherwise, or if no fluid is deep enough to count, the result comes from the neighbours. An
+//! unreliable [`SpacingEstimate`] is marked as thin.
 //!
 //! Up to [`ALL`] particles are read once and held in memory. If there are more, the first reading
 //! takes an even sample for counting, and the second reading takes all particles in some cubes for
@@ -264,7 +264,8 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         let counted = counted.map(|counted| counted.mean);
         let all = || NeighbourSample::whole(positions.to_vec());
         let scale = match counted {
-            // If all particles lie in a plane, the middles of all cubes may miss it.
+            // A search in cubes queries only particles in the middles of cubes. If all particles
+            // lie in a plane, the plane may pass through no middle of a cube.
             _ if positions.len() <= FEWEST_SAMPLED || place.plane.is_some() => None,
             None if positions.len() <= MOST_SEARCHED => None,
             None => {
@@ -283,12 +284,12 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         };
         let few =
             counted.and_then(|counted| Neighbours::of_few(in_cubes(CubeSample::few), counted));
-        // Particles at walls are not in the middles of cubes; in a sample of all particles this
-        // does not matter.
+        // A search in cubes may miss particles at walls, because it queries only particles in the
+        // middles of cubes. A search in all particles queries particles anywhere.
         let more =
             || if positions.len() <= MOST_SEARCHED { all() } else { in_cubes(CubeSample::new) };
         let found = few.unwrap_or_else(|| Neighbours::of(more()));
-        // The middles of all cubes may miss a plane or a film.
+        // A plane or a film may pass through no middle of a cube.
         if found.suggested().is_some() { found } else { Neighbours::of(all()) }
     };
     let mut neighbours = search(&positions, counted);
@@ -453,8 +454,8 @@ impl Evidence {
             _ => NoEstimate::TooFew,
         })?;
         match self.place.step {
-            // Different positions are at least one step apart, so the true spacing may be less than
-            // an estimate of about a step.
+            // Different positions are at least one step apart, so no estimate is much less than a
+            // step. If the estimate is about a step, the true spacing may be less.
             Some(step) if step > 0.7 * estimate.spacing => {
                 Err(NoEstimate::SinglePrecision { step })
             }

@@ -3,10 +3,11 @@
 //!
 //! Deep in the fluid, the distance to the k-th neighbour measures the density: a ball of that
 //! radius holds about k particles (Mack and Rosenblatt 1979,
-//! <https://doi.org/10.1016/0047-259X(79)90065-4>). Averaged over k = 8 to 20, the error is within
-//! 3 % for lattices and randomly placed particles, and within 6 % for a compressed liquid. A
-//! particle counts as deep if its neighbours surround it: their centroid is near, and their second
-//! moments are nearly equal in all directions. In a sheet, the same applies within its plane.
+//! <https://doi.org/10.1016/0047-259X(79)90065-4>). If the measured spacings are averaged over k =
+//! 8 to 20, the error is within 3 % for lattices and randomly placed particles, and within 6 % for
+//! a compressed liquid. A particle counts as deep if its neighbours surround it: their centroid is
+//! near, and their second moments are nearly equal in all directions. In a sheet, the same applies
+//! within its plane.
 
 use std::f64::consts::PI;
 use std::ops::{Range, RangeInclusive};
@@ -25,8 +26,9 @@ const OF_SOLID: RangeInclusive<usize> = 8..=NEIGHBOURS;
 const OF_SHEET: RangeInclusive<usize> = 4..=8;
 /// The neighbours whose distances give the density if all particles lie in a plane.
 const OF_PLANE: RangeInclusive<usize> = 4..=NEIGHBOURS;
-/// The factor by which neighbours in a plane are farther away than those of random particles. With
-/// it, the error is within 1.5 % for lattices, with or without jitter.
+/// The factor by which the neighbours of a particle in a plane are farther away than they would be
+/// if the particles were placed at random. With this factor, the error of the spacing is within
+/// 1.5 % for lattices, with or without jitter.
 const FARTHER: f64 = 1.03;
 /// A particle is deep only if the distance to the centroid of its neighbours is less than this
 /// share of the distance to the farthest neighbour.
@@ -43,7 +45,7 @@ const DISC: f64 = 0.6;
 /// FLIP particles that were seeded eight per cell have a scatter of 0.8.
 const RANDOM: f64 = 0.9;
 /// The maximum error of a scatter that is measured on few particles.
-const CHANCE: f64 = 0.2;
+const SCATTER_ERROR: f64 = 0.2;
 /// The minimum number of deep particles for a reliable scatter.
 const ENOUGH_FOR_SCATTER: usize = 100;
 /// In sheets of a single layer, more than this share of the neighbourhoods is flat.
@@ -107,8 +109,8 @@ struct Neighbourhood {
 }
 
 impl Neighbours {
-    /// Searches a sample of a few cubes. Returns `None` if it does not confirm `spacing`; more
-    /// cubes are then needed.
+    /// Searches a sample of a few cubes. Returns `None`, because more cubes are needed, if the
+    /// sample does not confirm `spacing`, has coincident particles, or may be randomly placed.
     pub fn of_few(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);
         (few.confirms(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
@@ -273,7 +275,8 @@ impl Neighbours {
     /// Whether the placement may be random, allowing for the error of a scatter measured on few
     /// particles.
     fn may_be_random(&self) -> bool {
-        self.scatter.is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - CHANCE))
+        self.scatter
+            .is_none_or(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM - SCATTER_ERROR))
     }
 }
 

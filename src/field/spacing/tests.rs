@@ -298,7 +298,7 @@ fn a_plane_across_any_axis_is_found_and_its_spacing_measured_in_it() {
     }
     let mut stray = layers([12; 3], 0.2);
     stray.push([1e9, -1e9, 5.0]);
-    assert_eq!(evidence(&stray).unwrap().place.plane, None, "all but one are near each other");
+    assert_eq!(evidence(&stray).unwrap().place.plane, None, "one particle is far from the others");
     let tilted = turned(layers([50, 40, 1], 0.0));
     assert_eq!(evidence(&tilted).unwrap().place.plane, None);
     let wide: Vec<[f64; 3]> =
@@ -415,7 +415,7 @@ fn a_cancel_ends_the_estimate_with_the_current_reading() {
         let cancelled = Interrupted { particles, after, read: 0.into() };
         assert_eq!(evidence(&cancelled), None);
         let readings = cancelled.read.into_inner() / particles.len();
-        assert_eq!(readings, share as usize + 1, "of {} cancelled at {share}", particles.len());
+        assert_eq!(readings, share as usize + 1, "{} particles, {share} readings", particles.len());
         let cancelled = Interrupted { particles, after, read: 0.into() };
         assert_eq!(survey(&cancelled, 1.0).is_none(), share < 1.0);
     }

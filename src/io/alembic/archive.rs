@@ -136,7 +136,9 @@ impl TimeSampling {
     }
 }
 
-/// Encodes the part of an archive that starts at byte `at`. Returns its bytes and the root group.
+/// Encodes the groups and small data blocks of an archive, which start at byte `at` of the file,
+/// after the arrays. Returns their bytes and the root group.
+///
 /// Properties refer to `sampling` by index 1, and to the sampling of constants by index 0.
 pub fn archive(
     at: u64,

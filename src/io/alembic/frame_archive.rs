@@ -7,10 +7,10 @@
 //! at any time, even after a crash. Then the file of the frame is removed.
 //!
 //! `archive.json` in the folder says where the frames are in the archive. It is replaced after the
-//! header has changed. The next addition first truncates the archive to the size in `archive.json`.
-//! The groups of earlier additions stay in the archive, but are no longer used. The groups of one
-//! addition take about 16 bytes for each array of each frame. A frame that is computed again also
-//! leaves its old bytes in the archive.
+//! header has changed. The next addition first truncates the archive to the size in `archive.json`,
+//! which removes the bytes of an interrupted addition. The groups of earlier additions stay in the
+//! archive, but are no longer used. The groups of one addition take about 16 bytes for each array
+//! of each frame. A frame that is computed again also leaves its old bytes in the archive.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};

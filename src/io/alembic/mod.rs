@@ -3,8 +3,8 @@
 //!
 //! The archive has a transform `/fluid`, which is the identity, and the mesh `/fluid/fluidShape`.
 //! In Alembic, y points up, polygons are clockwise as seen from outside, and velocities are in
-//! units of length per second. If the topology changes, readers show the mesh of the nearest frame,
-//! and may move it by its velocities.
+//! units of length per second. If the topology changes, readers show the mesh of the nearest frame
+//! at times between frames, and may move it by its velocities.
 //!
 //! `ogawa.rs` implements groups and data blocks, `archive.rs` the objects and properties in them,
 //! and `geometry.rs` the properties of a mesh. Alembic has no specification. The sources of Alembic

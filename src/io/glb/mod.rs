@@ -9,7 +9,7 @@
 //!
 //! | data | stored as | maximum error |
 //! |---|---|---|
-//! | positions | u16 on a grid, whose step is the least power of two that suffices | half a step |
+//! | positions | u16 on a grid, whose step is the least power of two for which the mesh fits into 16 bits | half a step |
 //! | normals | 8-bit octahedral | about a degree |
 //! | other values | 15-bit mantissas, and one exponent per vertex | 2^-14 of the vertex's largest component |
 //! | triangles | unchanged | |

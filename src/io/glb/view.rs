@@ -25,7 +25,7 @@ const NORMAL_BITS: i32 = 8;
 const MANTISSA_BITS: i32 = 15;
 /// The version of meshoptimizer's vertex codec that the extension requires.
 const CODEC: Option<i32> = Some(0);
-/// The level at which this codec compresses best.
+/// The compression level at which this codec compresses best.
 const LEVEL: i32 = 2;
 
 /// The origin and the grid step of stored positions.

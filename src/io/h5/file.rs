@@ -19,7 +19,7 @@ use super::table::{H5Array, RowPart, scalar};
 /// Maximum size, in bytes, of the cache of decoded chunks. The cache serves repeated reads of rows
 /// in the same chunk.
 const CHUNKS: u64 = 16 << 20;
-/// Minimum size, in bytes, of a read after which the memory of the bytes that were read is
+/// After a read of at least this number of bytes, the memory of these bytes in the input is
 /// released.
 const LARGE: usize = 64 << 10;
 

@@ -6,8 +6,8 @@
 //! | openPMD | the attribute `openPMD` of the root | its iterations |
 //! | SWIFT and GADGET | groups `Header` and `PartType0` to `PartType6` | one, in one file or in several |
 //! | PySPH | groups `particles` and `solver_data` | one |
-//! | H5Part | groups `Step#12` | its steps |
-//! | H5MD, and others | data sets of equal length or a table, in a group | groups `frame_12`, or an axis |
+//! | H5Part | groups such as `Step#12` | its steps |
+//! | H5MD, and others | data sets of equal length or a table, in a group | groups such as `frame_12`, or the first axis of the data sets |
 //!
 //! `sim.h5part#12` names one of several frames. The file's size bounds the memory for headers,
 //! chunks and rows.

@@ -386,7 +386,8 @@ impl H5Type for RawElement {
     }
 }
 
-/// The division of the rows of a data set into windows.
+/// The division of the rows of a data set into windows, which are ranges of rows that are read at
+/// once.
 pub(super) struct RowWindows {
     /// Number of rows in the first window.
     lead: u64,

@@ -122,7 +122,8 @@ impl<'a> Chunks<'a> {
         let at = cursor.at();
         let (each, last) = (cursor.u64("the index")?, cursor.u64("the index")?);
         if each == 0 || each > LARGEST || last > each {
-            let what = format!("invalid sizes of chunks: {each}, and {last} for the last");
+            let what =
+                format!("invalid chunk sizes: {each} bytes, and {last} bytes for the last chunk");
             return Err(malformed(at, what));
         }
         Ok(Self { view, bounds, each, last })

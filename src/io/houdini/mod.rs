@@ -159,8 +159,8 @@ impl OpenedGeometry {
             }
         };
         view.check()?;
-        // A small file with constant pages can announce any number of points, so this check limits
-        // the number.
+        // A constant page stores one tuple for all of its points, so a small file can announce any
+        // number of points. This check limits the number.
         if geometry.points > unpacked_limit(view.len() as u64) / POSITION {
             let what = format!(
                 "{} points are too many for a file of {} bytes",

@@ -6,7 +6,7 @@
 //!
 //! | part | bytes | content |
 //! |---|---|---|
-//! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`, which detects a conversion of line ends |
+//! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`; a program that converts line ends would change these bytes |
 //! | | 4 | version: 2, or 3 for particles of several sizes |
 //! | | 4 | edge of a brick in cells: 4, 8 or 16 |
 //! | pages | | one zstd frame of samples per page, in key order and without gaps |
@@ -17,12 +17,12 @@
 //! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf for sides without a wall; 0 if there are no walls |
 //! | | 8 | mu0, f64; 0 for symmetry and cloud |
 //! | | 8 | spacing, f64; 0 if it is not known; the smallest size if there are several |
-//! | | 4 x 8 | numbers of particles that are in cells, not finite, beyond the grid, outside the walls or the box |
+//! | | 4 x 8 | four numbers of particles: in cells, with positions that are not finite, beyond the grid, outside the walls or the box |
 //! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
 //! | | 4 | distance from the box, in cells, within which the pages include images of particles |
 //! | | 4 | 0 |
 //! | if several sizes | 8 | largest size, f64 |
-//! | | 8 | volume of the particles per unit volume deep in the fluid, f64; 0 if it is not known |
+//! | | 8 | total volume of the particles in a unit of volume, deep in the fluid, f64; 0 if it is not known |
 //! | footer | 8 | number of pages |
 //! | index, per page | 8 | Morton key of its bin: 21 bits per axis, x lowest, each biased by 2^20 |
 //! | | 8 | offset of the page in the file |
@@ -30,7 +30,7 @@
 //! | | 4 | size of the compressed page, in bytes |
 //! | | 4 | CRC-32 of the compressed page |
 //! | | 4 | number of full cells |
-//! | | 6 | tightest box of the full cells, in the bin: lowest cell, one past the highest |
+//! | | 6 | tightest box around the full cells, in coordinates of the bin: lowest cell, and one past the highest cell |
 //! | | 2 | number of the page's field, if the particles have several sizes, else 0 |
 //! | tail | 8 | offset of the footer in the file |
 //! | | 4 | CRC-32 of the header, the footer, the index and the offset of the footer |
@@ -53,8 +53,9 @@
 //! defines them. The indicator is cloud. All pages of a field are consecutive, and their cells are
 //! 2^k times as wide as the grid's.
 //!
-//! Version 1 differs only for clouds, whose size depends on mu0 in that version. Frames of version
-//! 1 with clouds are rejected. Other frames of version 1 can be read.
+//! Version 1 differs only for the indicator cloud: in that version, the size of a cloud depends on
+//! mu0. Frames of version 1 with the indicator cloud are rejected. Other frames of version 1 can be
+//! read.
 //!
 //! The guide for users is `packed.md`.
 
@@ -174,7 +175,7 @@ const END_MAGIC: [u8; 8] = *b"\n\x1a\n\rFNM\x89";
 const VERSION: u32 = 2;
 /// The version of files with particles of several sizes.
 const SIZES_VERSION: u32 = 3;
-/// The first version of the format. Its frames can be read, except those with clouds.
+/// The first version of the format. Its frames can be read, except those with the indicator cloud.
 const FIRST_VERSION: u32 = 1;
 
 /// Flag in the footer: there are walls.

@@ -40,8 +40,11 @@ const CHUNK: usize = 1 << 20;
 ///
 /// The function reads and checks every byte, but keeps only the index in memory. Samples are read
 /// again when they are needed. The most recently used pages stay in memory, up to `cache_bytes`.
-/// The map of the file takes a few MiB of memory at a time. If `scratch` names a folder, large
-/// clouds in wider cells are stored in scratch files in this folder.
+/// The map of the file takes a few MiB of memory at a time.
+///
+/// For the indicator cloud, the samples of wider cells are computed on first use. If the samples of
+/// a cell width do not fit in the cache, they are stored in a scratch file in the folder `scratch`.
+/// Without this folder, they are computed again when they are needed.
 ///
 /// If another program changes the file while the field is in use, the process ends with a panic or
 /// a signal.
@@ -294,7 +297,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     fields.resize(field_count as usize + 1, infos.len());
     let full_cells: u64 = infos.iter().map(|info| u64::from(info.full_count)).sum();
     let shape = indicator.kind().shape(side);
-    // A cell in the corner of a periodic box has seven images.
+    // A cell in the corner of a periodic box has seven images, so it can occur eight times.
     let places = if facts.periodic.is_some() { 8 } else { 1 };
     // If the particles have several sizes, each particle is in two fields.
     let fields_a_particle = u64::from(field_count.min(2));

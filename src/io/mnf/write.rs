@@ -16,7 +16,8 @@ use super::{
     planes_from_samples,
 };
 
-/// Compression level of zstd. Writing must be fast, and higher levels do not compress noise better.
+/// Compression level of zstd. Writing must be fast, and higher levels do not compress the noise in
+/// samples better.
 const LEVEL: i32 = 1;
 /// Number of pages that a thread compresses with one context.
 const CHUNK: usize = 64;

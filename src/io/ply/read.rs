@@ -149,8 +149,8 @@ fn group(properties: &[PlyProperty], position: [usize; 3]) -> Vec<(String, Vec<u
     let whole = |members: [&str; 3]| members.into_iter().map(named).collect::<Option<Vec<_>>>();
     let groups = GROUPS.iter().filter_map(|(name, members)| Some((*name, whole(*members)?)));
     let colours = COLOURS.iter().filter_map(|members| {
-        let [shares @ .., alpha] = members;
-        let mut found = whole(*shares)?;
+        let [channels @ .., alpha] = members;
+        let mut found = whole(*channels)?;
         let scalar = properties[found[0]].scalar;
         let alike = |&index: &usize| properties[index].scalar == scalar;
         let fits = (scalar.is_float() || scalar == Scalar::U8) && found.iter().all(alike);
@@ -372,8 +372,10 @@ fn skip(
             for row in 0..element.count {
                 scan.skip_whitespace();
                 if !scan.skip_line() {
-                    let what =
-                        format!("the file ends where row {row} of `{}` should", element.name);
+                    let what = format!(
+                        "the file ends where row {row} of `{}` should follow",
+                        element.name
+                    );
                     return Err(scan.fault(scan.at(), what));
                 }
             }

@@ -29,8 +29,8 @@ use super::heading::TableColumns;
 
 /// Maximum number of comments that are searched for names. Earlier comments are ignored.
 const MOST_COMMENTS: usize = 1024;
-/// Maximum length, in bytes, of a comment that is compared with the columns if its names do not
-/// fit.
+/// Maximum length, in bytes, of a comment that the reader checks for a contradiction with the
+/// columns of the position. Longer comments count as free of contradictions.
 const LONGEST_COMMENT: usize = 64 << 10;
 /// Maximum length of a line in which a name can stand for several columns.
 const LONGEST_NAMES: usize = 4 << 10;
@@ -44,7 +44,7 @@ type Notation = fn(&str) -> Vec<String>;
 const NOTATIONS: [Notation; 7] =
     [in_angle_brackets, numbered, separated, between_blanks, with_units, far_apart, numbered_after];
 
-/// Last words of labels before the names of columns.
+/// Last words of labels that precede the names of columns, as in `# columns: x y z`.
 const LABELS: [&str; 8] =
     ["columns", "column", "fields", "names", "variables", "header", "format", "data"];
 
@@ -74,19 +74,19 @@ pub fn separator_of(line: &[u8]) -> Separator {
     }
 }
 
-/// Each possible division of a line into columns with a position.
+/// Each possible division of a line into columns that include a position.
 pub fn named_columns(line: &str) -> impl Iterator<Item = TableColumns> {
     names_in(line).filter_map(TableColumns::of)
 }
 
-/// Each possible division of a comment into columns with a position. Labels are skipped, and
-/// sentences are ignored.
+/// Each possible division of a comment into columns that include a position. Labels are skipped,
+/// and sentences are ignored.
 pub fn columns_in_comment(comment: &str) -> impl Iterator<Item = TableColumns> {
     columns_in(without_labels(comment))
 }
 
-/// Each possible division of one of the texts into columns with a position. Names of vectors come
-/// last, because they may have other meanings.
+/// Each possible division of one of the texts into columns that include a position. Divisions with
+/// names of vectors come last, because these names may have other meanings.
 fn columns_in(texts: Vec<&str>) -> impl Iterator<Item = TableColumns> {
     let vectors = texts.iter().flat_map(|text| vectors_in(text));
     let vectors: Vec<_> = vectors.filter_map(|(names, known)| known.then_some(names)).collect();
@@ -107,7 +107,8 @@ fn names_in(line: &str) -> impl Iterator<Item = Vec<String>> {
     lists.filter(|names| !names.is_empty())
 }
 
-/// The line, and its parts after a label. A part after a well-known label comes before the line.
+/// The line, and the part of the line after each label. In the result, parts after well-known
+/// labels come before the line, and other parts come after it.
 fn without_labels(line: &str) -> Vec<&str> {
     let mut texts = vec![line];
     for (at, mark) in labels(line).take(MOST_LABELS) {
@@ -271,8 +272,8 @@ struct ShortVectors {
 }
 
 impl ShortVectors {
-    /// The short names among `names`. A vector has none if a longer name stands for the same
-    /// vector, or if the letter is a component among others, as in `x y z` or `u v w`.
+    /// The short names among `names`. A vector has no short name if a longer name stands for the
+    /// same vector, or if the letter is a component among others, as in `x y z` or `u v w`.
     fn among<'a>(names: impl Iterator<Item = &'a str> + Clone) -> Self {
         let is_named = |known: &str| names.clone().any(|name| name.eq_ignore_ascii_case(known));
         let find = |known: &[&'static str]| known.iter().copied().find(|name| is_named(name));
@@ -432,8 +433,8 @@ impl<'a> Comments<'a> {
         self.lines.retain(|comment| comment.line < line);
     }
 
-    /// Each possible division of the comments into columns with a position. The last comment comes
-    /// first.
+    /// Each possible division of the comments into columns that include a position. The last
+    /// comment comes first.
     pub fn columns<'b>(&'b self) -> impl Iterator<Item = TableColumns> {
         let texts = |comment: &'b Comment| match comment.is_title {
             true => vec![&*comment.text],
@@ -511,9 +512,9 @@ fn whole_and_first_words(texts: &[&str]) -> [Vec<String>; 2] {
 /// The order of x, y and z among the columns that a comment mentions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Mention {
-    /// Three consecutive columns. The number is the index of the first.
+    /// x, y and z are consecutive columns. The number is the index of the x column.
     InOrder(usize),
-    /// Columns in this order, with other columns between them.
+    /// x, y and z are in this order, with other columns between them.
     Apart,
     /// An unknown or a different order.
     Unordered,
@@ -569,8 +570,9 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     })
 }
 
-/// Whether a text is a list of names without a position that calls x by another quantity's name:
-/// either the column of x has such a name, or at least three such names precede an unknown vector.
+/// Whether a text is a list of names that gives x the name of another quantity. The names must not
+/// include a position. Either the column of x has the name of another quantity, or at least three
+/// such names precede an unknown vector.
 fn gives_x_another_name(text: &str, fields: usize, first: Option<usize>) -> bool {
     names_in(text).filter(|names| are_names(names)).any(|names| {
         let names = bare_names(&names);
@@ -722,7 +724,8 @@ fn is_number(word: &str) -> bool {
     word.starts_with(|c: char| c.is_ascii_digit())
 }
 
-/// The parts of a text in and after each bracket. The first part is before the first bracket.
+/// For each opening bracket of a text, the text in the brackets and the text after them. The first
+/// item contains the text before the first bracket.
 fn bracketed(text: &str) -> impl Iterator<Item = (&str, &str)> {
     let parts = text.split(['[', '(']).enumerate();
     parts.map(|(number, part)| match part.split_once([']', ')']) {

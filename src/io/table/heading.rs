@@ -283,7 +283,7 @@ impl<'a> LinesAbove<'a> {
     }
 }
 
-/// The first of `columns` that fit a row, and the notation of the row.
+/// The first item of `columns` that fits a row, and the notation of the row.
 fn fitting(
     mut columns: impl Iterator<Item = TableColumns>,
     row: &[u8],

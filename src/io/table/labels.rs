@@ -32,8 +32,8 @@ impl Texts {
         number
     }
 
-    /// Returns the label and, for the number of each text, the index of the text in the label.
-    /// Returns `None` if there are too many different texts.
+    /// Returns the label, and a list that gives, for the number of each text, the index of this
+    /// text in the label. Returns `None` if there are too many different texts.
     pub fn label(self, name: &str) -> Option<(Label, Vec<u32>)> {
         let all = self.0.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         if all.len() > MOST_TEXTS {

@@ -105,7 +105,8 @@ impl UnnamedColumns {
 
     /// The first number of the first row, if it may be the number of rows below it instead of x.
     ///
-    /// It is an integer, in contrast to all other x coordinates, or it is far from them.
+    /// The number must be an integer without a sign. Either no other x coordinate is such an
+    /// integer, or the number is far from all other x coordinates.
     pub fn announced(self, rows: &[u8]) -> Option<u64> {
         let first = rows_of(rows, self.syntax, self.fields).next()?.next()?;
         let count = std::str::from_utf8(first).ok().filter(|_| is_whole(first))?.parse().ok()?;
@@ -126,8 +127,8 @@ impl UnnamedColumns {
         if self.first > 0 || self.fields < 4 || !sample.columns[0].is_unsigned() {
             return Some(self.first);
         }
-        // The first column is skipped if it has atomic numbers or counts the rows. In other cases,
-        // it is x, as in sorted rows.
+        // The first column is skipped if it has atomic numbers or counts the rows. Otherwise, it is
+        // x: for example, the first rows of a table that is sorted by x can all have x = 0.
         let is_skipped = sample.starts_with_elements() || sample.starts_with_row_numbers();
         (1..4).all(|column| sample.columns[column].has_reals()).then_some(usize::from(is_skipped))
     }

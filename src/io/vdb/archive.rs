@@ -54,7 +54,7 @@ pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
 
 impl GridHead {
     /// Encodes the part of the grid that precedes its tree and starts at byte `at` of the file. The
-    /// tree takes `topology` bytes without the values of its leaves, which take `leaves` bytes.
+    /// tree consists of `topology` bytes, followed by `leaves` bytes with the values of its leaves.
     pub fn bytes(&self, at: u64, topology: u64, leaves: u64) -> Vec<u8> {
         let mut out = Vec::new();
         put_text(&mut out, &self.name);

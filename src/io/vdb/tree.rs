@@ -60,7 +60,8 @@ impl TreeLeaf {
     }
 }
 
-/// A node above the leaves: its bytes, and whether its first and last voxels are inside.
+/// A leaf, or a node above the leaves: its bytes, and whether its first and last voxels are inside
+/// the surface.
 struct InnerNode {
     corner: IVec3,
     bytes: Vec<u8>,

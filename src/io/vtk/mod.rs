@@ -1,9 +1,9 @@
 //! Legacy .vtk, versions 2.0 to 5.1: particles or surfaces, in text or in big-endian binary.
 //!
 //! A header of three lines is followed by sections in almost any order. A section consists of a
-//! line of words, followed by an array. After `POINTS`, sections with several names contain cells,
-//! and `POINT_DATA` or `CELL_DATA` contain attributes. A file contains particles if no cell has an
-//! area or a volume.
+//! line of words, followed by an array. After `POINTS`, sections such as `VERTICES`, `POLYGONS` or
+//! `CELLS` contain cells, and `POINT_DATA` or `CELL_DATA` contain attributes. A file contains
+//! particles if no cell has an area or a volume.
 
 mod layout;
 mod read;

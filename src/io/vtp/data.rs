@@ -53,7 +53,8 @@ pub(super) struct PieceArray<'a> {
 }
 
 impl JoinedArray<'_> {
-    /// The number of points and the array of the only part, if this array can be read in place.
+    /// The number of points and the array of the only piece. `None` if there are several pieces, or
+    /// if the array cannot be read in place.
     fn raw(&self) -> Option<(usize, &VtpArray)> {
         match *self.parts {
             [PieceArray { points, array: Some(array) }] => {

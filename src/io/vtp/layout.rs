@@ -443,7 +443,8 @@ fn text(xml: &[u8], at: usize) -> Range<usize> {
     at..at + rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len())
 }
 
-/// Calls `take` with each element of a list of files. The XML must be complete.
+/// Calls `take` with each XML element in a file that lists other files, and with the number of
+/// elements around it. The XML must be complete.
 ///
 /// # Errors
 /// [`ReadFault::Malformed`] for invalid or incomplete XML, and the errors of `take`.

@@ -3,7 +3,8 @@
 //!
 //! The XML contains each array's name, type and location. The numbers are in the XML as text or
 //! base64, or after `<AppendedData>` and an underscore as raw bytes or base64. Data other than text
-//! may be compressed, block by block. Meshes are written raw.
+//! may be compressed, block by block. The writer stores the numbers of a mesh as uncompressed raw
+//! bytes.
 
 pub(super) mod arrays;
 mod data;

@@ -45,8 +45,8 @@ pub fn open_particles(
         true => open_piece(path, share).map(Some),
         false => Ok(None),
     };
-    // Reads all pieces before it returns, so that it always returns the error of the first faulty
-    // piece.
+    // All pieces are read before errors are checked, so this function always returns the error of
+    // the first faulty piece.
     let read: Vec<_> = paths.par_iter().enumerate().map(open).collect();
     let files = read.into_iter().collect::<Result<Vec<_>, _>>()?;
     check_colour_scales(&paths, &files, wanted.attributes)?;

@@ -395,7 +395,8 @@ fn non_ghost_points(
     layout: &VtpLayout,
     decoder: &mut Decoder,
 ) -> Result<Option<Vec<Range<usize>>>, ReadFault> {
-    // A number of points that exceeds the file's limit is rejected later, when the points are read.
+    // A number of points that is too large for a file of this size is rejected later, when the
+    // points are read.
     if layout.points() as u64 > unpacked_limit(layout.bytes.len() as u64) {
         return Ok(None);
     }

@@ -1,11 +1,11 @@
-//! The file of a part: the meshes of its blocks as a spool stores them, the list of these blocks,
-//! and counts for the report.
+//! The file of a part: the meshes of its blocks in the format of a [`Spool`], the list of these
+//! blocks, and counts for the report.
 //!
 //! ```text
-//! meshes of all blocks, in Morton order       as a spool keeps them
-//! blocks                                      28 bytes: place, tiles, vertices, triangles, level
-//! bins that hold particles                    24 bytes each: coordinates, particles, tiles
-//! for each attribute, particles without it    8 bytes each
+//! meshes of all blocks, in Morton order       in the format of a `Spool`
+//! list of the blocks                          28 bytes each: coordinates, counts, level of cells
+//! list of bins that contain particles         24 bytes each: coordinates, particles, tiles
+//! for each attribute, a count of particles    8 bytes each: particles without a value
 //! end                                         64 bytes: counts of the above, plan, part, CRC-32
 //! ```
 //!

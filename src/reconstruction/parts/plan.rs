@@ -197,7 +197,7 @@ impl Parts {
             needs.with(surfacing.solid_bytes())
         });
         let needs = needs.collect();
-        timings.done("share out");
+        timings.done("divide");
         Ok((plan, needs))
     }
 }

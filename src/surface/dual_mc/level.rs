@@ -3,7 +3,7 @@
 
 use crate::grid::units::Isovalue;
 
-/// A level of a field.
+/// The level of a field at which the surface lies.
 pub trait Level: Copy {
     /// A sample of the field.
     type Sample: Copy + Default;

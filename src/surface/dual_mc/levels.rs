@@ -2,8 +2,8 @@
 //!
 //! On the lattice of the narrower level, a wide cell counts as 2^3 cells with the same sample. The
 //! dual cells at the corners of narrow cells join the narrow cells to the wide ones (Schaefer and
-//! Warren 2004). No gap remains, because every edge between two cells has one vertex. An edge that
-//! joins cells of two levels ends at the middle of the wide cell.
+//! Warren 2004). No gap remains, because all edges between the same two cells count as one edge,
+//! with one vertex. An edge that joins cells of two levels ends at the middle of the wide cell.
 
 use glam::{DVec3, IVec3};
 

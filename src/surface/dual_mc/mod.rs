@@ -6,8 +6,8 @@
 //! (eq. 8).
 //!
 //! At the walls of a domain, ghost points mirror the outermost centres with phi = |phi_i|, so the
-//! ghost points are outside. Where the mirrored cell is inside, the vertex is half-way between its
-//! centre and the ghost point, exactly on the wall.
+//! ghost points are outside. Where the mirrored cell is inside, the vertex is half-way between that
+//! cell's centre and the ghost point, exactly on the wall.
 //!
 //! Meshing a block needs the field on the block and one cell beyond its upper faces; normals need
 //! one more cell on all sides.

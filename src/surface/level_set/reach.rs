@@ -1,9 +1,10 @@
 //! The voxels to which a triangle can be nearest.
 //!
-//! Let a point of a triangle be the point of the mesh that is nearest to a voxel. The line through
-//! the point and the voxel is then parallel to the triangle's normal. At an edge or a vertex, it is
-//! only within some angle of the normal of one of the triangles around the edge or vertex. So the
-//! voxel is near the line that passes through the point along the normal.
+//! Let a point of a triangle be the point of the mesh that is nearest to a voxel. If the point is
+//! inside the triangle, the line through the point and the voxel is parallel to the triangle's
+//! normal. If the point is on an edge or a vertex, this line is only within some angle of the
+//! normal of one of the triangles around the edge or vertex. In both cases, the voxel is near the
+//! line that passes through the point along the normal.
 
 use glam::{IVec3, Vec3A, Vec4};
 
@@ -40,8 +41,8 @@ pub struct Reach {
 }
 
 impl Reach {
-    /// Returns `None` if the triangles are nearest to no voxel of the block. Several triangles must
-    /// be nearly parallel.
+    /// Returns `None` if the triangles are nearest to no voxel of the block. If there are several
+    /// triangles, they must be nearly parallel.
     pub fn of(near: &NearTriangles, triangles: &[NearTriangle]) -> Option<Self> {
         // Large coordinates are clamped, because they would lose digits that matter.
         let [least, most] = [-2.0 * BAND, BLOCK as f32 + 2.0 * BAND].map(Vec3A::splat);
@@ -117,21 +118,23 @@ impl Reach {
         count
     }
 
-    /// The part of a range of heights above the plane that is possible at the coordinate `at`.
+    /// Limits a range of heights to the heights that voxels within reach can have at the coordinate
+    /// `at` along `axis`. A height is a distance from the middle of the triangles along the normal.
     fn heights(&self, [low, high]: [f32; 2], axis: usize, at: i32) -> [f32; 2] {
         let middle = (at as f32 - self.centre[axis]) * self.inverse[axis];
         let half = (self.half[axis] + self.across[axis] * self.aside) * self.inverse[axis].abs();
         [greater(middle - half, low), less(middle + half, high)]
     }
 
-    /// The squared distance of the coordinate `at` from the triangles' bounding box.
+    /// The squared distance of the coordinate `at` from the triangles' bounding box along `axis`.
     fn squared_beyond(&self, axis: usize, at: i32) -> f32 {
         let beyond = greater((at as f32 - self.centre[axis]).abs() - self.half[axis], 0.0);
         beyond * beyond
     }
 
-    /// The coordinates that are possible for heights from `low` to `high`, within a squared
-    /// distance of `remaining` from the triangles' bounding box.
+    /// The range of coordinates along `axis` that voxels within reach can have if their heights are
+    /// from `low` to `high`, and if their squared distance from the triangles' bounding box along
+    /// `axis` is at most `remaining`.
     fn range(&self, [low, high]: [f32; 2], axis: usize, remaining: f32) -> [i32; 2] {
         let aside = less(self.spread * greater(-low, high), BAND);
         let middle = self.centre[axis] + (low + high) / 2.0 * self.normal[axis];

@@ -25,18 +25,18 @@ const FRACTION: u32 = 20;
 const OFFSET: i64 = 1 << (52 - FRACTION);
 /// Number of columns along the edge of a block, and of voxels in a column.
 const EDGE: usize = BLOCK as usize;
-/// Two neighbouring voxels are on the same side if the sum of their distances, in voxels, is more
-/// than this. Distances are rounded, so the limit is more than 1.
+/// Two neighbouring voxels are on the same side if the sum of their distances from the surface, in
+/// voxels, is more than this. Distances are rounded, so the limit is more than 1.
 const APART: f32 = 1.0001;
-/// The square of the distance, in voxels, above which a voxel is deep: two neighbouring deep voxels
-/// are on the same side.
+/// The square of the distance from the surface, in voxels, above which a voxel is deep: two
+/// neighbouring deep voxels are on the same side.
 const DEEP: f32 = APART * APART / 4.0;
 /// The square of the distance, in voxels, below which a voxel is on the surface, so that either
 /// side is right.
 const ON_SURFACE: f32 = 1e-10;
 /// The length, in voxels, by which a line of sight ends inside a triangle instead of at its edge.
 const INWARDS: f64 = 0.1;
-/// Number of bits in which the entries at a step are counted.
+/// Number of bits of each number in [`Sides::entries`].
 const COUNT_BITS: usize = 3;
 
 /// The coordinates x and y of a vertex, in multiples of 2^-[`FRACTION`] voxels.
@@ -46,7 +46,7 @@ type Place = [i64; 2];
 pub struct Sides {
     /// For each step from voxel z - 1 to voxel z, the number of times that the column enters the
     /// mesh minus the number of times that it leaves the mesh. This number is in two's complement;
-    /// each vector has one of its bits, and the first vector the lowest.
+    /// each vector has one of its bits, beginning with the lowest.
     entries: [Vec<u64>; COUNT_BITS],
     /// Whether each voxel is inside; 0 for columns whose sides are not known.
     inside: Vec<u64>,

@@ -12,9 +12,9 @@ use rayon::prelude::*;
 
 /// Number of triangles in a leaf, and of children of a node.
 const WIDTH: usize = 8;
-/// The margin of a disc, as a share of its size. The squared distance from a disc is reduced by the
-/// same share. Both margins are needed because rounding to f32 changes a disc's size and the length
-/// of its normal.
+/// The margin of a disc, as a fraction of its size. The squared distance from a disc is reduced by
+/// the same fraction. Both margins are needed because rounding to f32 changes a disc's size and the
+/// length of its normal.
 const DISC_MARGIN: f64 = 1e-5;
 /// Maximum number of nodes in a [`Vicinity`].
 const MOST_IN_VICINITY: usize = 128;
@@ -111,8 +111,8 @@ impl BoxTree {
         self.levels.len() - 1
     }
 
-    /// Converts the best result of a search from a place in the order to a triangle number. `None`
-    /// if the search found no triangle.
+    /// Replaces the index in `order` that a search found by the number of the triangle. `None` if
+    /// the search found no triangle.
     fn found(&self, (squared, place): (f64, usize)) -> Option<(f64, usize)> {
         (place < usize::MAX).then(|| (squared, self.order[place] as usize))
     }
@@ -357,13 +357,13 @@ fn rounded_down(x: f64) -> f32 {
     if f64::from(nearest) > x { nearest.next_down() } else { nearest }
 }
 
-/// The centre of a triangle's box and half of the box's size, as shares of the size of the whole
+/// The centre of a triangle's box and half of the box's size, both divided by the size of the whole
 /// mesh, and the triangle's number.
 type Item = ([f32; 4], u32);
 
 /// The numbers of the triangles `0..count`, in the order of the leaves.
 fn sorted(count: usize, corners: &(impl Fn(usize) -> [DVec3; 3] + Sync)) -> Vec<u32> {
-    // Coordinates are halved, because the size could overflow.
+    // Coordinates are halved, because the size could overflow otherwise.
     let bounds = |number: usize| {
         let [a, b, c] = corners(number).map(|corner| corner / 2.0);
         [a.min(b).min(c), a.max(b).max(c)]

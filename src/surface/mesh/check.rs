@@ -305,7 +305,7 @@ fn duplicate_positions(positions: &[[f64; 3]]) -> Defects<usize> {
 }
 
 impl fmt::Display for CheckReport {
-    /// Writes one line per property, and one per defect.
+    /// Writes one line for each property, and one for each kind of defect that was found.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let topology = &self.topology;
         writeln!(

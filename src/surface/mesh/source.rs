@@ -120,8 +120,9 @@ pub trait MeshSource: Sync {
         Ok(None)
     }
 
-    /// A mesh with about a quarter of the triangles that looks the same from a distance, if it is
-    /// cheap to make. It may have fewer triangles than its outline says.
+    /// A mesh that looks the same from a distance, but has only about a quarter of the triangles;
+    /// `None` if such a mesh is not cheap to make. It may have fewer triangles than its outline
+    /// says.
     ///
     /// # Errors
     /// If the pieces are in a file that cannot be read.

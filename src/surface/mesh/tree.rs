@@ -231,8 +231,9 @@ fn distance_within(most: f64, nearest: Option<(f64, usize)>) -> Option<(f64, usi
     (distance <= most).then_some((distance, triangle))
 }
 
-/// The crossing of a line along x, at the given y and z, with a triangle: the x coordinate, and 1
-/// or -1 if the triangle faces along x or against it.
+/// The point at which a line along x, at the given y and z, crosses a triangle: the point's x
+/// coordinate, and 1 if the triangle faces along x, or -1 if it faces against x. `None` if the line
+/// does not cross the triangle.
 fn crossing(corners: [DVec3; 3], [y, z]: [f64; 2]) -> Option<(f64, i32)> {
     let [a, b, c] = corners;
     // Either none or two of the three edges join a point at or below z to a point above z.

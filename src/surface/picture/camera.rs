@@ -21,8 +21,8 @@ pub(super) const FARTHEST: f64 = 1e100;
 pub enum View {
     /// From a direction, and as close as possible while the whole bounding box is visible.
     From {
-        /// Degrees around the up axis. At 0, the camera looks parallel to the last horizontal axis;
-        /// at 90, parallel to the other horizontal axis.
+        /// Degrees around the up axis. At 0, the camera looks parallel to z, or to y if z points
+        /// up; at 90, it looks parallel to x.
         azimuth: f64,
         /// Degrees above the horizon.
         elevation: f64,

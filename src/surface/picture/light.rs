@@ -27,7 +27,8 @@ const WIRE_COLOUR: Vec3 = Vec3::new(0.01, 0.012, 0.015);
 /// The reflectance of water at normal incidence (Schlick 1994, index of refraction 1.33).
 const NORMAL_REFLECTANCE: f32 = 0.02;
 const REFRACTION: f32 = 1.0 / 1.33;
-/// Absorption of light by water, per radius of the scene.
+/// Absorption of light by water, per radius of the scene. This is the radius of the ball around the
+/// bounding box.
 const ABSORPTION: Vec3 = Vec3::new(9.0, 2.6, 1.1);
 /// Radiance that deep water adds by scattering.
 const SCATTERED: Vec3 = Vec3::new(0.004, 0.105, 0.26);
@@ -123,8 +124,8 @@ pub(super) fn water(
     body.lerp(reflected, reflectance) + SUNLIGHT * (1.4 * glint * lit)
 }
 
-/// A fast approximation of the exponential of a non-positive number, with an error below 0.001,
-/// which is invisible in a byte.
+/// A fast approximation of the exponential of a non-positive number. Its error is below 0.001, and
+/// thus invisible in a channel of 8 bits.
 #[inline]
 pub(super) fn quick_exp(x: f32) -> f32 {
     let power = (x * std::f32::consts::LOG2_E + EXPONENT_BIAS).max(0.0);

@@ -122,8 +122,8 @@ impl Raster {
 
     /// The column and row of a corner in half samples: odd numbers are between samples. Corners
     /// outside the picture are clamped. For a corner that is behind the eye or too far to the side,
-    /// or in a picture that is too large for 16 bits, both numbers are 0, which is even and before
-    /// all samples.
+    /// or in a picture that is too large for 16 bits, both numbers are 0. Because 0 is even, a
+    /// triangle with such a corner never counts as lying between samples.
     #[inline(always)]
     pub(super) fn halves(&self, corner: Corner) -> [u16; 2] {
         let (width, height) = (self.width as i32, self.height as i32);

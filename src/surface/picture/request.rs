@@ -108,7 +108,7 @@ impl Picture {
         self
     }
 
-    /// Shows a floor under the box, with the fluid's shadow.
+    /// Shows a floor under the bounding box, with the fluid's shadow.
     #[must_use]
     pub fn ground(mut self, shown: bool) -> Self {
         self.ground = shown;

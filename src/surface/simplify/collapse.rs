@@ -34,9 +34,9 @@ const EXTRA_SAMPLES: i32 = 4;
 /// triangles is at least `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// If no segment around a removed vertex needed a check, these segments are not checked again as
-/// long as the vertex is close to its closest triangle (`CLOSE_SHARE`), and the cosine between this
-/// triangle's normal and the normal at the time of the last check is at least this.
+/// Suppose that no segment around a removed vertex needed a check. These segments still need no
+/// check as long as the vertex is close to its closest triangle (`CLOSE_SHARE`), and the cosine
+/// between this triangle's normal and the normal at that time is at least this.
 const STEADY_COSINE: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
@@ -60,7 +60,7 @@ const LEAST_VOLUME_SHARE: f32 = 0.5;
 /// The reference surface and the limits for the collapses in a patch.
 pub struct Measure<'a> {
     pub topology: &'a PatchTopology,
-    /// The surface from which the result must stay within the tolerance.
+    /// The surface from which the result may deviate by at most the tolerance.
     pub reference: &'a EditableMesh<'a>,
     /// The edges of the reference.
     pub outgoing: &'a OutgoingEdges,
@@ -193,7 +193,8 @@ struct CollapseState<'a, 'b> {
     /// The triangles found so far of the part whose volume is being checked.
     near: Vec<u32>,
     moved: Vec<MovedVertex>,
-    /// For each vertex, its last mark. A new value of `mark` makes all old marks invalid.
+    /// For each vertex, the value of `mark` when the vertex was last marked. A vertex counts as
+    /// marked if this value equals `mark`, so incrementing `mark` removes all marks.
     marks: Vec<u32>,
     mark: u32,
 }
@@ -720,7 +721,7 @@ fn shape([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
 pub struct Patch<'a> {
     /// The positions of the vertices in cells, all different.
     pub positions: &'a [Vec3A],
-    /// The surface from which the result must stay within the tolerance.
+    /// The surface from which the result may deviate by at most the tolerance.
     pub reference: &'a [[u32; 3]],
     /// The triangles to simplify.
     pub triangles: &'a [[u32; 3]],

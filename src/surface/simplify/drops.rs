@@ -250,7 +250,7 @@ pub(super) fn root(parents: &mut [u32], mut member: u32) -> u32 {
     member
 }
 
-/// Number of words per run. The members before each run are counted.
+/// Number of words per run. `VertexSet::before` has one count for each run.
 const RUN: usize = 8;
 
 /// A set of vertices.

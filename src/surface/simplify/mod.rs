@@ -85,8 +85,8 @@ pub struct Reduction {
     pub smallest_drop: Option<u32>,
 }
 
-/// The assumed volume of a small drop, relative to the volume of its particles. The actual volume
-/// is 0.6 to 1.1 for one particle, 0.7 to 1.1 for two, and 0.8 to 1.1 for eight.
+/// The assumed volume of a small drop, divided by the volume of its particles. The actual ratio is
+/// 0.6 to 1.1 for one particle, 0.7 to 1.1 for two, and 0.8 to 1.1 for eight.
 const DROP_VOLUME: f64 = 0.85;
 
 impl Reduction {
@@ -204,7 +204,7 @@ pub fn simplify(
 }
 
 /// The width of the surface's widest cells, in finest cells. All lengths that are given in cells
-/// are multiplied by it, so that each block of the widest cells is within one chunk.
+/// are multiplied by this width, so that each block of the widest cells is within one chunk.
 #[derive(Debug, Clone, Copy)]
 struct Scale(i32);
 

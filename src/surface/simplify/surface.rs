@@ -32,7 +32,8 @@ pub struct EditableMesh<'a> {
     normals: Vec<Vec3A>,
 }
 
-/// The state of a vertex: a corner of a triangle; removed, with its closest triangle; or unused.
+/// The state of a vertex: it is a corner of a triangle, it was removed (and then has a closest
+/// triangle), or it is unused.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct VertexState(u32);
 
@@ -340,7 +341,7 @@ impl<'a> EditableMesh<'a> {
             .map(|(edge, _)| edge)
     }
 
-    /// The triangles of the patch around a vertex, in counter-clockwise order.
+    /// The patch's triangles around a vertex, in counter-clockwise order.
     pub fn incident(&self, vertex: u32) -> impl Iterator<Item = Incident> {
         let state = self.state(vertex);
         let start = if state.is_removed() { NONE } else { state.triangle() };

@@ -1,9 +1,9 @@
 //! Solids at which a fluid ends, as signed distances at the centres of cells.
 //!
-//! A solid is a closed mesh. A place is inside the solid if the winding number there is nonzero:
-//! parts may overlap or touch, and a part that lies inside another part and faces the other way is
-//! a cavity. Reversing all triangles gives the same solid. The distance of a place is its distance
-//! from the nearest point on any triangle.
+//! A solid is a closed mesh. A place is inside the solid if the winding number there is nonzero.
+//! Therefore, parts of the mesh may overlap or touch, and a part that lies inside another part and
+//! faces the other way is a cavity. Reversing all triangles gives the same solid. The distance of a
+//! place is its distance from the nearest point on any triangle.
 //!
 //! A distance depends only on the cell, not on the box of cells in a request. Cells are processed
 //! in cubes of 4^3. The distance of a cube's centre limits the searches for the distances of its

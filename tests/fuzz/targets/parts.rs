@@ -69,7 +69,8 @@ fn fresh() -> (Parts, PathBuf) {
 
 /// Replaces one of the files with bytes of `data`, and merges the parts. The first byte of `data`
 /// selects the file, and whether this function corrects the checksum of a part. If the checksum is
-/// correct, the library trusts the content of a part, except its lists.
+/// correct, the library still checks that the part's lists match its meshes, but trusts the content
+/// of the meshes.
 fn damaged(data: &[u8]) {
     let Some((choice, data)) = data.split_first() else { return };
     thread_local! {

@@ -50,8 +50,9 @@ pub struct Method {
     pub documented: bool,
 }
 
-/// Reads the table of programs. Each line has six fields, separated by tabs: name, cell size or
-/// `-`, isovalues or `-`, `many`, `few` or `slow`, command, and command for several sizes or `-`.
+/// Reads the table of programs. Each line has six fields, separated by tabs: the name; the cell
+/// size; the isovalues; one of the words `many`, `few` and `slow` (see [`Takes`]); the command; and
+/// the command for particles of several sizes. `-` means that there is no value.
 pub fn read(path: &Path) -> Outcome<Vec<Program>> {
     fs::read_to_string(path)?.lines().map(Program::parse).collect()
 }

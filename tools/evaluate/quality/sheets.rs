@@ -28,7 +28,7 @@ const RADIUS: f64 = 12.0;
 const APART: f64 = 1.4;
 /// Jitter of the particles of a shell, in spacings.
 const SHELL_JITTER: f64 = 0.1;
-/// The stretches of the crowns that stand on water.
+/// The stretches of the crowns that stand on water. A crown is a tube of particles, as in a splash.
 const CROWNS: [f64; 3] = [1.0, 1.3, 1.6];
 /// The radius of a crown, in spacings.
 const CROWN_RADIUS: f64 = 12.0;

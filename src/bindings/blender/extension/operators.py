@@ -196,7 +196,7 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
 
 
 def _replace(context: bpy.types.Context, mesh: bpy.types.Mesh, played: bpy.types.Object) -> list[bpy.types.Object]:
-    """Puts an object, and a copy of it for each further object of a live surface, in the surface's place.
+    """Replaces each object that shows a live surface with the object `played` or a copy of it.
 
     Hides the live surface and stops its updates.
     """

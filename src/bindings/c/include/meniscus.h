@@ -351,9 +351,10 @@ typedef struct MeniscusReport {
   uint64_t particles;
   // Number of particles that were skipped because a coordinate is not finite.
   uint64_t not_finite;
-  // Number of particles that were skipped because they are too far away.
+  // Number of particles that were skipped because they are too far from the grid's origin.
   uint64_t too_far;
-  // Number of particles that were left out because they are outside the domain.
+  // Number of particles that were left out because they are outside the domain or the periodic
+  // box.
   uint64_t outside;
   // Lower bound on the number of particles outside the surface.
   uint64_t lost;
@@ -504,9 +505,10 @@ MeniscusStatus meniscus_convert(const char *const *inputs,
 // freed by meniscus_mesh_free, or NULL on failure.
 //
 // Returns MENISCUS_STATUS_REQUEST if arguments or options are invalid, or if the memory is not
-// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if a position is not finite
-// or too far away and the option "skip-invalid" is not set, or if the particles have no surface.
-// Returns MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
+// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if the particles have no
+// surface, or if the option "skip-invalid" is not set and a position is not finite, too far from
+// the grid's origin, or outside the periodic box. Returns MENISCUS_STATUS_OUTPUT if scratch files
+// cannot be written.
 //
 // Pointers must be NULL or point to the described data; the particles must not change during the
 // call.
@@ -766,8 +768,8 @@ MeniscusStatus meniscus_mesh_write(const struct MeniscusMesh *mesh,
                                    int32_t overwrite,
                                    uint64_t *bytes);
 
-// Copies the warnings about a mesh file with the name `path` into the caller's buffer, one per
-// line. The extension of `path` selects the format, and the function writes no file. The text ends
+// Copies the warnings that apply to writing the mesh to `path` into the caller's buffer, one per
+// line. The extension of `path` selects the format; the function writes no file. The text ends
 // with a NUL, and is truncated if the buffer is too small.
 //
 // `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length, in bytes,

@@ -129,7 +129,7 @@ pub struct Listener {
 struct CallbackSlot(ReentrantMutex<Cell<Option<Listener>>>);
 
 // SAFETY: the lock lets only one thread at a time use `*user`, and the documentation of
-// `MeniscusProgressCallback` says that threads of the library call the callback.
+// `MeniscusProgressCallback` warns the caller that threads of the library call the callback.
 unsafe impl Send for CallbackSlot {}
 // SAFETY: for the same reason as `Send`.
 unsafe impl Sync for CallbackSlot {}

@@ -583,8 +583,8 @@ pub unsafe extern "C" fn meniscus_mesh_write(
     })
 }
 
-/// Copies the warnings about a mesh file with the name `path` into the caller's buffer, one per
-/// line. The extension of `path` selects the format, and the function writes no file. The text ends
+/// Copies the warnings that apply to writing the mesh to `path` into the caller's buffer, one per
+/// line. The extension of `path` selects the format; the function writes no file. The text ends
 /// with a NUL, and is truncated if the buffer is too small.
 ///
 /// `text`: NULL, or a buffer of `capacity` bytes. `length`: NULL, or receives the length, in bytes,

@@ -50,9 +50,10 @@ pub struct MeniscusReport {
     pub particles: u64,
     /// Number of particles that were skipped because a coordinate is not finite.
     pub not_finite: u64,
-    /// Number of particles that were skipped because they are too far away.
+    /// Number of particles that were skipped because they are too far from the grid's origin.
     pub too_far: u64,
-    /// Number of particles that were left out because they are outside the domain.
+    /// Number of particles that were left out because they are outside the domain or the periodic
+    /// box.
     pub outside: u64,
     /// Lower bound on the number of particles outside the surface.
     pub lost: u64,

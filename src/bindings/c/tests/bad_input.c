@@ -35,7 +35,7 @@ static void check_invalid_options(const char *message, const char *const *pairs,
     check_failure(status, MENISCUS_STATUS_REQUEST, message, mesh, line);
     MeniscusSimulation *simulation = (MeniscusSimulation *)&positions;
     status = meniscus_simulation_new(options, &simulation);
-    if (status == MENISCUS_STATUS_OK) {  // The library looks up attributes only in frames.
+    if (status == MENISCUS_STATUS_OK) {  // The library looks up attributes only when it gets a frame.
       meniscus_simulation_free(simulation);
     } else {
       check_failure(status, MENISCUS_STATUS_REQUEST, message, simulation, line);

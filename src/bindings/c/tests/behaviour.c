@@ -1,5 +1,5 @@
-// Tests the guarantees of the interface, except that its files have the same bytes as the program's
-// (same_bytes.c): `behaviour FOLDER`.
+// Tests the guarantees of the interface: `behaviour FOLDER`. One guarantee has a separate test:
+// same_bytes.c checks that the library writes the same bytes as the program.
 #include "water.h"
 
 static float positions[COUNT][3];
@@ -178,8 +178,8 @@ static void progress_is_reported_and_can_cancel_the_work(const char *folder) {
   OK(meniscus_mesh_write(mesh, path, 1, NULL));
   CHECK(reports.calls == calls);
   meniscus_mesh_free(mesh);
-  // The callback cancels at its first call, at its second call, and so on. Slow work is reported
-  // more often, so the number of calls differs between frames.
+  // Cancel at the first call of the callback, then at the second call, and so on. Slow work is
+  // reported more often, so the number of calls differs from run to run.
   int after = 0;
   do {
     reports = (struct reports){.stop_after = ++after};

@@ -188,8 +188,9 @@ static void set_box(MeniscusOptions *options, const char *key) {
   if (rarely(4)) set_numbers(options, key, box, 6);
 }
 
-/// Whether an option may be set to random values. The other options would search for devices, which
-/// is slow, wait for frames that never appear, write elsewhere, or start too many threads.
+/// Whether an option may be set to random values. Random values of the other options would start a
+/// slow search for devices, wait for frames that never appear, write to other folders, or start too
+/// many threads.
 static bool is_harmless(const char *key) {
   const char *harmful[] = {"backend", "device", "watch", "scratch", "threads"};
   for (size_t i = 0; i < sizeof harmful / sizeof *harmful; i++) {

@@ -1,4 +1,4 @@
-// Shared by all tests: water of a few hundred particles, and macros that check a condition.
+// Shared by all tests: water of about 1000 particles, and macros that check a condition.
 #ifndef WATER_H
 #define WATER_H
 

@@ -18,7 +18,7 @@ import meniscus
 
 
 class MeshExporter(sph.ExporterBase):  # type: ignore[misc, unused-ignore]
-    """Writes the surface of the first fluid, with one simulation for all frames."""
+    """Writes the surface of the first fluid, with one `meniscus.Simulation` for all frames."""
 
     def __init__(self, base: Any, folder: Path) -> None:
         super().__init__(base)
@@ -31,8 +31,8 @@ class MeshExporter(sph.ExporterBase):  # type: ignore[misc, unused-ignore]
         model, radius = now.getFluidModel(0), now.getParticleRadius()
         if self.simulation is None:
             self.simulation = meniscus.Simulation(radius=radius)
-        # Each buffer is a view of the simulator's memory, whose length is the maximum number of
-        # particles.
+        # Each buffer is a view of the simulator's memory, with rows for the maximum number of
+        # particles. Only the first `count` rows are in use.
         count = model.numActiveParticles()
         positions, velocity = (np.asarray(model.getFieldBuffer(name))[:count] for name in ("position", "velocity"))
         mesh = self.simulation.frame(positions, velocity=velocity)

@@ -50,14 +50,14 @@ fn matching_errno(error: &Error) -> Option<i32> {
     }
 }
 
-/// Python's `errno` of a system's error.
+/// The `errno` that Python uses for an error of the operating system.
 #[cfg(unix)]
 fn errno(fault: &io::Error) -> Option<i32> {
     fault.raw_os_error()
 }
 
-/// Python's `errno` of a system's error. On systems other than Unix, the operating system's error
-/// codes differ from those of the C library, which Python uses.
+/// The `errno` that Python uses for an error of the operating system. On systems other than Unix,
+/// the operating system's error codes differ from those of the C library, which Python uses.
 #[cfg(not(unix))]
 fn errno(fault: &io::Error) -> Option<i32> {
     match fault.kind() {

@@ -28,7 +28,7 @@ use pyo3::prelude::*;
 ///     Number of particles that were used.
 /// not_finite, too_far, outside : int
 ///     Number of particles that were skipped because a coordinate is not finite, because they are
-///     too far away, or because they are outside the domain.
+///     too far from the grid's origin, or because they are outside the domain or the periodic box.
 /// lost : int
 ///     Lower bound on the number of particles outside the surface.
 /// too_small : int

@@ -48,7 +48,10 @@ impl FrameRows {
         let end = end.ok_or_else(|| {
             malformed(
                 0,
-                format!("a step has {parts} partitions from {first} on, but the file has {all}"),
+                format!(
+                    "a step has {parts} partitions from number {first} on, but the file has only \
+                     {all} partitions"
+                ),
             )
         })?;
         Ok(Self { step: Some(step), parts: [first, end], point: at("PointOffsets")? })

@@ -1,8 +1,8 @@
 //! Reads VTKHDF: the points of PolyData and UnstructuredGrid, partition by partition, and the
 //! polygons of PolyData.
 //!
-//! The data of all steps is consecutive in every data set. The group `Steps` contains the start of
-//! each step.
+//! Every data set contains the rows of all steps, one step after another. The group `Steps`
+//! contains the start of each step.
 
 mod frame;
 mod ghosts;
@@ -54,7 +54,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 /// Reads the points as particles. Returns [`ReadFault::Mesh`] if the frame of an UnstructuredGrid
 /// has a cell with an area or a volume, or if PolyData has polygons or strips in any frame. In a
 /// partition that has only vertex cells, a point is left out if all of its cells are flagged as
-/// copies or hidden.
+/// copied, refined or hidden.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
@@ -86,8 +86,8 @@ fn refuse_mesh(faces: u64) -> Result<(), ReadFault> {
     if faces > 0 { Err(ReadFault::Mesh { faces }) } else { Ok(()) }
 }
 
-/// The numbers of cells with an area or a volume, one number for each window of the types. The
-/// caller adds them up.
+/// The number of cells with an area or a volume in each window of `types` (a range of rows that is
+/// read at once). The caller adds these numbers up.
 fn typed_faces(types: &H5Array) -> impl Iterator<Item = Result<u64, ReadFault>> {
     let windows = types.windows();
     (0..windows.count).map(move |window| {

@@ -279,7 +279,7 @@ def _floats(values: _Array) -> _Array:
 def _cut(data: MeshWithData, low: _Corner, high: _Corner, clamp: bool) -> MeshWithData:
     """Removes the triangles that have no vertex inside a box.
 
-    If `clamp` is set, moves the remaining vertices outside the box onto it.
+    If `clamp` is set, moves the remaining vertices that are outside the box to its nearest faces.
     """
     mesh = data.mesh
     inside = _within(mesh.vertices, low, high)
