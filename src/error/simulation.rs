@@ -125,8 +125,8 @@ pub enum SimulationError {
     Busy(PathBuf),
     /// Meshes of other inputs, which a resumed conversion would replace.
     #[error(
-        "{}: the existing meshes were made from {recorded}, and frame {frame} of {inputs} differs \
-         from the frame {frame} that was converted; write the new meshes to another output",
+        "{}: the existing meshes were made from {recorded}, but {inputs} has a different frame {frame}; \
+         write the new meshes to another output",
         path.display()
     )]
     OtherInputs {

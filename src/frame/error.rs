@@ -83,7 +83,7 @@ pub enum FrameError {
     #[error(
         "the packed or sampled frame has copies of particles only up to {there} cells beyond the \
          faces of its periodic box, but these settings need {needed} cells; use less smoothing, or \
-         make the surface from the particles with these settings"
+         make the surface from the original particles"
     )]
     FewImages {
         /// The reach, in cells, of the filters beyond a face.
