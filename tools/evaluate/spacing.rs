@@ -209,6 +209,14 @@ fn generated_particles(quick: bool) -> Vec<(String, Vec<[f64; 3]>)> {
             ));
         }
     }
+    for stretch in [1.2, 1.4, 1.6, 2.0] {
+        for jitter in [0.0, 0.1, 0.3] {
+            let mut lattice = layers([40; 3], jitter, random);
+            lattice.iter_mut().for_each(|p| *p = [p[0] * stretch, p[1], p[2] / stretch]);
+            let name = format!("lattice of 40^3, stretched {stretch} times, jitter {jitter}");
+            all.push((name, rotated(lattice, random)));
+        }
+    }
     for side in [10_i32, 30, 60].into_iter().filter(|side| !quick || *side < 60) {
         let length = f64::from(side);
         let mut within = |length: f64| [(); 3].map(|()| length * random.unit());

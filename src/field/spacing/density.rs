@@ -55,6 +55,9 @@ pub struct Spacings {
     /// For particles that clearly have two resolutions: the spacing of the majority, and the
     /// spacing of the other particles.
     pub two: Option<[f64; 2]>,
+    /// The share of the particles that are deep in evenly filled fluid: in cells of about eight
+    /// times [`TARGETS`] whose 26 neighbours have similar counts.
+    pub even: f64,
 }
 
 impl Spacings {
@@ -63,6 +66,7 @@ impl Spacings {
         Self {
             mean: self.mean * factor,
             two: self.two.map(|two| two.map(|spacing| spacing * factor)),
+            ..self
         }
     }
 }
@@ -97,12 +101,13 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let enough = cells >= ENOUGH_CELLS * placements as usize
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
         enough.then(|| {
-            // In cells of this width, the particles of the coarser resolution may have no interior
-            // cells, so this also tries wider cells.
-            let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
+            let wide = at_corner.twice_as_wide();
             Spacings {
                 mean: cell * libm::cbrt(cells as f64 / total as f64),
-                two: two_of(inside, cell).or_else(wider),
+                // In the narrower cells, the particles of the coarser resolution may have no
+                // interior cells.
+                two: two_of(inside, cell).or_else(|| two_of(wide.interior(), 2.0 * cell)),
+                even: wide.even().iter().sum::<usize>() as f64 / finite as f64,
             }
         })
     })
@@ -243,28 +248,45 @@ impl CellCounts {
 
     /// The counts of cells whose 26 neighbours also hold particles.
     fn interior(&self) -> Vec<usize> {
+        self.where_neighbours(|_, neighbour| neighbour > 0)
+    }
+
+    /// The counts of cells whose 26 neighbours have between 0.45 and 2.2 times as many particles.
+    /// The limits are wide because the planes of a lattice fill some cells with twice as many
+    /// particles as others.
+    fn even(&self) -> Vec<usize> {
+        let is_less = |a: usize, b: usize| 20 * a < 9 * b;
+        self.where_neighbours(|own, neighbour| !is_less(own, neighbour) && !is_less(neighbour, own))
+    }
+
+    /// The counts of non-empty cells for which `fits(own count, neighbour's count)` is true for all
+    /// 26 neighbours.
+    fn where_neighbours(&self, fits: impl Fn(usize, usize) -> bool) -> Vec<usize> {
         match self {
             Self::Listed { size: [x, y, _], counts } => {
-                let around = |index: usize| {
+                let all_fit = |index: usize| {
                     [0, x * y, 2 * x * y].iter().all(|layer| {
                         [0, *x, 2 * x].iter().all(|row| {
                             let first = index + layer + row - x * y - x - 1;
-                            counts[first..first + 3].iter().all(|&count| count > 0)
+                            let own = counts[index] as usize;
+                            counts[first..first + 3].iter().all(|&count| fits(own, count as usize))
                         })
                     })
                 };
                 // The outermost layer of cells is empty.
                 let inner = x * y + x + 1..counts.len().saturating_sub(x * y + x + 1);
-                let inner = inner.filter(|&index| counts[index] > 0 && around(index));
+                let inner = inner.filter(|&index| counts[index] > 0 && all_fit(index));
                 inner.map(|index| counts[index] as usize).collect()
             }
             Self::Hashed(counts) => {
-                let around = |cell: IVec3| {
+                let all_fit = |cell: IVec3, own: usize| {
                     (0..27).all(|i| {
-                        counts.contains_key(&(cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1))
+                        let neighbour = cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1;
+                        fits(own, counts.get(&neighbour).copied().unwrap_or(0))
                     })
                 };
-                counts.iter().filter(|&(&cell, _)| around(cell)).map(|(_, &count)| count).collect()
+                let fitting = counts.iter().filter(|&(&cell, &own)| all_fit(cell, own));
+                fitting.map(|(_, &count)| count).collect()
             }
         }
     }
@@ -325,6 +347,7 @@ mod tests {
             };
             assert_eq!(sorted(listed.filled()), sorted(hashed.filled()));
             assert_eq!(sorted(listed.interior()), sorted(hashed.interior()));
+            assert_eq!(sorted(listed.even()), sorted(hashed.even()));
             let twice = [listed.twice_as_wide(), hashed.twice_as_wide()]
                 .map(|twice| sorted(twice.interior()));
             assert_eq!(twice[0], twice[1]);

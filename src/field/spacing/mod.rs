@@ -49,6 +49,8 @@ const FEWEST: usize = 8;
 const LARGEST: f64 = 1e100;
 /// The minimum share of deep particles; with a smaller share, the fluid is thin.
 const THIN: f64 = 0.15;
+/// The minimum share of particles in evenly filled cells with which the fluid is certainly deep.
+const DEEP: f64 = 0.1;
 
 /// The evidence about the spacing that the particles' positions give.
 #[derive(Debug, Clone, PartialEq)]
@@ -463,9 +465,21 @@ impl Evidence {
         }
     }
 
+    /// Whether the particles fill deep fluid evenly but, as in a stretched or sheared lattice, at
+    /// different distances along different axes. Neighbours then measure the distance along one
+    /// axis, while the count is right. In clumps of particles that are far apart, the count is
+    /// wrong, so the nearest neighbours must not be much closer than the count implies.
+    fn is_deep_lattice(&self) -> bool {
+        let (Some(counted), Some([_, second, third, _])) = (self.counted, self.neighbours.nearest)
+        else {
+            return false;
+        };
+        counted.even >= DEEP && second > 0.4 * counted.mean && third > 0.65 * counted.mean
+    }
+
     fn estimated(&self) -> Option<SpacingEstimate> {
         let Self { counted, neighbours, .. } = self;
-        if let Some(Spacings { mean, two: Some(two) }) = *counted {
+        if let Some(Spacings { mean, two: Some(two), .. }) = *counted {
             return Some(SpacingEstimate { spacing: mean, two: Some(two), thin: false });
         }
         let sure = |spacing| Some(SpacingEstimate { spacing, two: None, thin: false });
@@ -477,6 +491,7 @@ impl Evidence {
             (Some(counted), Some(_)) if neighbours.confirms(counted) => sure(counted),
             (Some(_), Some((measured, share))) if share >= THIN => unsure(measured),
             (None, Some((measured, share))) if share >= THIN => sure(measured),
+            (Some(counted), _) if self.is_deep_lattice() => sure(counted),
             // The cubes of the sample were too small or too wide to show neighbours.
             (Some(counted), None) if suggested.is_none() => unsure(counted),
             _ => unsure(suggested?),

@@ -130,6 +130,39 @@ fn deep_fluid_is_measured_by_counting_and_never_called_thin() {
 }
 
 #[test]
+fn a_deep_lattice_with_different_distances_along_its_axes_is_counted() {
+    for scale in [[1.4, 1.0, 0.7], [1.6, 1.0, 0.625], [2.0, 1.0, 0.5], [1.0, 1.0, 2.0]] {
+        for (side, jitter) in [(40, 0.0), (40, 0.1), (100, 0.0)] {
+            let lattice = layers([side; 3], jitter);
+            let stretched = |p: [f64; 3]| [0, 1, 2].map(|axis| p[axis] * scale[axis]);
+            let found = estimated(&lattice.into_iter().map(stretched).collect::<Vec<_>>());
+            let spacing = scale.iter().product::<f64>().cbrt();
+            assert!(
+                (found.spacing / spacing - 1.0).abs() < 0.03 && !found.thin,
+                "{scale:?}, {side}, {jitter}: {found:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_cloud_of_clumps_is_not_taken_for_deep_fluid() {
+    for size in [3, 10, 40] {
+        let clump = |i: u64| {
+            let middle = [0, 1, 2].map(|axis| 120.0 * unit(7 * i + axis));
+            let of = move |k: u64| {
+                let apart =
+                    |axis: usize| 1.3 * unit(9_000_000 + 131 * (i * size + k) + axis as u64);
+                [0, 1, 2].map(|axis| middle[axis] + (size as f64).cbrt() * apart(axis))
+            };
+            (0..size).map(of)
+        };
+        let found = estimated(&(0..3000).flat_map(clump).collect::<Vec<_>>());
+        assert!(found.thin && found.spacing < 1.6, "{size}: {found:?}");
+    }
+}
+
+#[test]
 fn a_hundred_particles_suffice_for_an_estimate() {
     for jitter in [0.0, 0.2, 0.4] {
         let found = estimated(&turned(layers([5, 5, 4], jitter)));
