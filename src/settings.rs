@@ -29,7 +29,8 @@ pub use value::{FromSource, Iso, MethodName, Source};
 pub struct Setting(&'static str);
 
 impl Setting {
-    /// A setting by the name of its field, without the prefix `r#` of a raw identifier.
+    /// Makes a setting from the name of a field of [`Settings`]. The prefix `r#` of a raw
+    /// identifier, such as `r#where`, is removed.
     const fn of_field(field: &'static str) -> Self {
         match field.as_bytes().split_first_chunk::<2>() {
             Some((b"r#", name)) => Self(match str::from_utf8(name) {
@@ -40,13 +41,13 @@ impl Setting {
         }
     }
 
-    /// A setting by its name in snake case.
+    /// Makes a setting from its name, which must be in snake case.
     #[must_use]
     pub const fn named(name: &'static str) -> Self {
         Self(name)
     }
 
-    /// A setting of [`Settings`] by its key.
+    /// Finds the setting of [`Settings`] that has this key.
     #[must_use]
     pub fn by_key(key: &str) -> Option<Self> {
         Settings::ALL.iter().copied().find(|setting| setting.key() == key)
@@ -209,9 +210,9 @@ settings! {
     /// A condition is an attribute, a comparison (=, !=, <, <=, > or >=) and a value: Type=1,
     /// age<2.5, phase!=boundary. mk=0,2 accepts either value. `and` joins conditions that must all
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
-    /// position. If a file stores each type of particle separately, type=NAME selects one type:
-    /// PartType1, for example, in SWIFT and GADGET snapshots, an array of PySPH, or a species of
-    /// openPMD. By default, gas is selected, or fluid if there is no gas.
+    /// position. Some files store each type of particle separately: SWIFT and GADGET snapshots in
+    /// groups such as PartType1, PySPH files in arrays, and openPMD files in species. type=NAME
+    /// selects one of them. By default, gas is selected, or fluid if there is no gas.
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
@@ -303,9 +304,9 @@ settings! {
     /// Isovalue between 0 and 1, for the counting and symmetry indicators and the mueller and
     /// yu-turk methods [default: auto].
     ///
-    /// auto is 0.47 times the value of the field deep inside the fluid. If the fluid is too shallow
-    /// to measure that value, meniscus computes it from the spacing. For mueller and yu-turk, auto
-    /// is 0.5.
+    /// A higher isovalue moves the surface inwards. auto is 0.47 times the value of the field deep
+    /// inside the fluid. If the fluid is too shallow to measure that value, meniscus computes it
+    /// from the spacing. For mueller and yu-turk, auto is 0.5.
     #[arg(
         value_name = "VALUE|auto", allow_hyphen_values = true, help_heading = "Surface",
         hide_short_help = true

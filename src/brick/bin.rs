@@ -63,8 +63,8 @@ impl CountingRoom {
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
 }
 
-/// The treatment of particles with a coordinate that is not finite, or that lies beyond the grid or
-/// the periodic box.
+/// The treatment of particles whose position is not finite, too far from the grid's origin, or
+/// outside the periodic box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
     /// Return an error that names the first invalid particle.
@@ -108,7 +108,7 @@ pub enum BinError {
         /// The axis along which the particle is outside: x, y or z.
         axis: char,
     },
-    /// A coordinate is beyond the addressable grid.
+    /// A particle is too far from the grid's origin.
     #[error(
         "particle {index} at ({}, {}, {}) is more than {} cells of size {} from the origin of the \
          grid; use larger cells, or an origin near the particles",
@@ -131,7 +131,7 @@ pub struct Census {
     pub binned: usize,
     /// Number of particles that are skipped because a coordinate is not finite.
     pub not_finite: usize,
-    /// Number of particles that are skipped because they are beyond the addressable grid.
+    /// Number of particles that are skipped because they are too far from the grid's origin.
     pub too_far: usize,
     /// Number of particles that are skipped because they are outside the domain's walls or a
     /// periodic box.

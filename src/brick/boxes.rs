@@ -77,8 +77,8 @@ impl<'a> WithBoxes<'a> {
     }
 
     /// For each chunk, a box of bins that contains all particles of the chunk that were read so
-    /// far, except particles beyond the grid or the domain's walls; `None` if none of the read
-    /// particles is on the grid.
+    /// far, except particles that are too far from the grid's origin or beyond the domain's walls;
+    /// `None` if all particles that were read are too far from the grid's origin or not finite.
     pub fn boxes(&self, domain: Option<&Domain>) -> Vec<Option<CellBox>> {
         let bins = |chunk: &ChunkExtent| {
             let extent = *chunk.extent.lock().unwrap_or_else(PoisonError::into_inner);

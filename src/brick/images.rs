@@ -112,7 +112,7 @@ type Wrapped = ([f64; 3], [i64; 3]);
 enum MisplacedParticle {
     /// Outside the box along this axis.
     OutsideBox(char),
-    /// Not finite, or beyond the grid.
+    /// Not finite, or too far from the grid's origin.
     Unplaced(PlacementError),
 }
 

@@ -86,7 +86,9 @@ pub enum SimulationError {
     #[error("{0}")]
     Names(String),
     /// Files of several simulations where only one is possible.
-    #[error("{from}: there are several simulations: {families}; name one of them{why}")]
+    #[error(
+        "{from}: there are several simulations: {families}; name one of these simulations{why}"
+    )]
     Several {
         /// The folder or pattern.
         from: String,
@@ -106,8 +108,8 @@ pub enum SimulationError {
     },
     /// A state file that is damaged, or was written by another version of meniscus.
     #[error(
-        "{}: the state file cannot be used: {what} (is it damaged, or from another version of \
-         meniscus?)",
+        "{}: the state file cannot be used ({what}); the file may be damaged, or may come from \
+         another version of meniscus",
         path.display()
     )]
     State {
@@ -168,8 +170,11 @@ impl fmt::Display for WhyOne {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Request => "",
-            Self::Pattern => ", or write the meshes into a folder",
-            Self::Names => ", because their meshes would have the same file names in one folder",
+            Self::Pattern => ", or write the meshes of all simulations into a folder",
+            Self::Names => {
+                ", because the meshes of different simulations would have the same file names in \
+                 one folder"
+            }
         })
     }
 }

@@ -637,7 +637,7 @@ impl Ends {
 
 /// Adapts walls to particles within `bounds`, so that no particle is outside. `spacings` holds the
 /// spacing at each side. A wall is moved if particles are slightly beyond it; if they are farther
-/// beyond it, its side becomes open. Also returns the walls that particles pass.
+/// beyond it, its side becomes open. Also returns all walls that have particles beyond them.
 #[must_use]
 pub fn adapted(
     walls: &Walls,

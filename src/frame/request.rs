@@ -53,7 +53,7 @@ pub struct Sampling {
     pub periodic: Option<Periodic>,
     /// The method that computes the field.
     pub method: Method,
-    /// Treatment of particles whose positions are not finite or too far away.
+    /// Treatment of particles whose positions are not finite or too far from the grid's origin.
     pub invalid: InvalidParticles,
     /// The brick size of the DIF.
     pub side: BrickSide,

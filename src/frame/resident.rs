@@ -40,7 +40,7 @@ pub struct DeviceRequest {
     pub indicator: IndicatorKind,
     /// `mu0`, for counting; if `None`, it is measured on the frame.
     pub mean: Option<MeanCount>,
-    /// Treatment of particles whose positions are not finite or too far away.
+    /// Treatment of particles whose positions are not finite or too far from the grid's origin.
     pub invalid: InvalidParticles,
     /// The particles' spacing, in the unit of the positions; if `None`, it is assumed to be one
     /// cell.

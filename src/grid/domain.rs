@@ -92,7 +92,7 @@ pub enum DomainError {
         /// The axis: x, y or z.
         axis: char,
     },
-    /// The domain extends beyond the grid.
+    /// The domain extends too far from the grid's origin.
     #[error(
         "the domain extends more than {CELL_LIMIT} cells from the origin; use a larger cell \
          size"
@@ -105,7 +105,7 @@ impl Domain {
     ///
     /// # Errors
     /// [`DomainError`] if the corners are not in order, if the box contains no cell centre along
-    /// an axis, or if it extends beyond the grid.
+    /// an axis, or if it extends too far from the grid's origin.
     pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
         // These comparisons are also false for NaN.
         let is_in_order =

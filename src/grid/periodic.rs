@@ -87,7 +87,7 @@ pub enum PeriodicError {
         /// The distance beyond a face within which particles affect the surface inside the box.
         reach: f64,
     },
-    /// The box, extended by the reach of the filters, ends beyond the grid.
+    /// The box, extended by the reach of the filters, ends too far from the grid's origin.
     #[error(
         "the periodic box, extended by the reach of the filters, ends more than {CELL_LIMIT} cells \
          from the origin; use a larger cell size"
@@ -100,8 +100,8 @@ impl Periodic {
     /// open. Images exist up to `reach` cells beyond the faces.
     ///
     /// # Errors
-    /// [`PeriodicError`] if the faces are not valid, closer together than twice the reach, or
-    /// beyond the grid.
+    /// [`PeriodicError`] if the faces are not valid, closer together than twice the reach, or too
+    /// far from the grid's origin.
     pub fn new(
         grid: &Grid,
         faces: [Option<[f64; 2]>; 3],

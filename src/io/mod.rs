@@ -199,9 +199,9 @@ impl fmt::Display for UnreadPart {
             }
             Self::Times { column, count, first, last } => write!(
                 f,
-                "the times in column {column:?} ({count} times from {first} to {last}), because \
-                 meniscus reads all rows of a table as one frame; to select the rows of one time, \
-                 use the condition {column}={first}"
+                "the times in column {column:?} ({count} different values from {first} to \
+                 {last}), because meniscus reads all rows of a table as one frame; to select the \
+                 rows of one time, use the condition {column}={first}"
             ),
             Self::RepeatedStep => write!(
                 f,

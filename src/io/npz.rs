@@ -3,7 +3,8 @@
 //!
 //! Uncompressed arrays (`np.savez`) are read in place. If an array of the position or of an
 //! attribute is compressed (`np.savez_compressed`), all arrays of the position and the attributes
-//! are unpacked first, and none is read in place. Their checksums are always verified.
+//! are unpacked first, and none is read in place. In both cases, the reader verifies the checksums
+//! of these arrays.
 
 use std::io::Read;
 

@@ -70,8 +70,9 @@ pub enum KindFault {
     /// An integer colour with a value outside the range from 0 to 255, in a sequence whose colours
     /// are in this range.
     #[error(
-        "colour {name:?} has the value {value}, but the calibration frame (usually the first) has \
-         integers from 0 to 255; either store colours in the same way in all frames, or begin with \
+        "colour {name:?} has the value {value}, but in the calibration frame (usually the first), \
+         all values are integers from 0 to 255, so meniscus treats the attribute as a colour from \
+         0 to 255 in all frames; either store colours in the same way in all frames, or begin with \
          a frame that has a value outside this range (all frames can then have such values), or do \
          not transfer the attribute"
     )]

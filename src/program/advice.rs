@@ -126,7 +126,7 @@ fn advice(error: &Error) -> String {
         Error::Simulation(SimulationError::Several {
             why: WhyOne::Pattern | WhyOne::Names,
             ..
-        }) => "; --together makes one surface of them",
+        }) => "; --together makes one surface from the particles of all simulations",
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
         // If `differing` begins with this text, it names no setting: only the input has changed.
         Error::Simulation(SimulationError::Settings { differing, .. })

@@ -321,7 +321,10 @@ fn files() -> String {
     );
     examples!(text, PictureError:
         Size(0, 99),
-        View("the camera and the point that it looks at must be at different positions"),
+        View(
+            "the camera and the point that it looks at must have finite coordinates and different \
+             positions",
+        ),
         Map { name: "rainbow".into(), known: "viridis, turbo".into() },
         NoAttribute { name: "heat".into(), known: "velocity".into() },
         Reference(CompareError::NoSurface(Side::Reference)),

@@ -301,8 +301,8 @@ impl fmt::Display for Warning {
             Self::BeforeWall(GapAtWall { axis, wall, end }) => write!(
                 f,
                 "the fluid ends at {axis} = {}, just short of the wall at {axis} = {}, so the \
-                 surface there can be ragged, and shallow fluid too thick; move the wall to where \
-                 the fluid ends, or leave the side open",
+                 surface there can be ragged, and shallow fluid can be too thick; move the wall to \
+                 where the fluid ends, or leave the side open",
                 significant(*end, 6),
                 significant(*wall, 6)
             ),

@@ -192,7 +192,8 @@ impl Setup<'_> {
         frames: &[FrameFile],
         resources: &Resources,
     ) -> Result<(), Error> {
-        // A frame that lacks a requested attribute reveals no kinds.
+        // If the calibration frame lacks a requested attribute, `shared.kinds` is empty. In this
+        // case, another frame determines the kinds of all attributes.
         let names = self.checked.settings.attribute_names();
         let names_attributes = names.is_some_and(|names| !names.is_empty());
         let lacks_some = |shared: &SharedCalibration| names_attributes && shared.kinds.is_empty();

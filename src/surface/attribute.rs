@@ -130,7 +130,8 @@ pub fn nearest_values(
         return Ok(Vec::new());
     }
     let cells = used.grown(reach, reach);
-    // For each particle, the index of its cell, its position in steps, and the bits of its values.
+    // For each particle, the index of its cell, its position in steps of 1 / 2^`FRACTION_BITS` of
+    // the finest cells, and the bits of its values.
     let mut found: Vec<(usize, [i64; 3], Vec<u32>)> = Vec::new();
     let index_of = Block::<u8>::zero(cells);
     let level = u32::from(mesh.level.level);

@@ -689,8 +689,9 @@ fn any_failed_allocation_leaves_the_right_mesh_and_leaks_no_memory() {
             );
         }
         // A field's buffer is first allocated with headroom for later fields. If this allocation
-        // fails, the device allocates the buffer without headroom, and gives no warning. This can
-        // happen for the cells and for the wide cells.
+        // fails, the device allocates the buffer without headroom, and gives no warning. The frames
+        // of these scenes have at most two such buffers: one for the samples of the cells, and one
+        // for the samples of the wide cells.
         assert!((1..=2).contains(&silent), "{scene:?}: {silent} without a warning");
     }
 }

@@ -608,7 +608,8 @@ impl Distances {
         walls: Option<Mirrors>,
         edge: f64,
     ) -> (Dense<f64>, Dense<f64>) {
-        // The plateau is the sample of a wide cell deep in the fluid, with the gained bits.
+        // `self.plateau` is the integer sample of a wide cell deep in the fluid, which filters have
+        // multiplied by 2^`GAIN`. The quotient is the number of particles per wide cell.
         let plateau = f64::from(self.plateau) / (f64::from(1 << GAIN) * amount(1.0 / edge) as f64);
         let depths = self.widths(edge).map(|half| {
             let width = width(variance_of_mask(&half)) * edge;

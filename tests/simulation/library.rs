@@ -648,7 +648,8 @@ fn inapplicable_settings_are_refused_and_named() {
 #[test]
 fn warnings_of_a_simulation_name_the_calibration_frame() {
     let folder = simulated(1);
-    // A frame with a ninth of the particles has a much lower plateau.
+    // Frame 2 has only a ninth of the particles. Its field deep in the fluid (the plateau) is much
+    // lower than that of frame 1, so the isovalue that was measured on frame 1 is too high for it.
     let far: Vec<[f32; 3]> = falling(1).into_iter().step_by(9).collect();
     write(&folder.path().join("sim/drop_2.xyz"), &far);
     let mut found = Vec::new();

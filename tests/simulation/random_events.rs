@@ -217,8 +217,9 @@ impl Sequence {
             self.event();
         }
         self.finish("out");
-        // Start the single run with the same state. The calibration in this state was measured only
-        // once, on the frames that were complete at that time.
+        // Give the single run a copy of the state, so that both conversions use the same
+        // calibration. Without the copy, the single run could choose another calibration frame,
+        // because more frames exist now than when the state was made.
         let state = format!("m.{}.meniscus/state.json", self.format);
         let [from, to] = ["out", "alone"].map(|name| self.folder.path().join(name).join(&state));
         fs::create_dir_all(to.parent().unwrap()).unwrap();

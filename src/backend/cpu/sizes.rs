@@ -226,7 +226,8 @@ impl<'a> SizedField<'a> {
     }
 
     /// Computes the final field on `cells`, with octave surfaces on the box `around`, which
-    /// contains `cells`; returns the side of the box if no surface can pass through it.
+    /// contains `cells`. If no surface can pass through `cells`, returns whether these cells are
+    /// inside or outside the fluid.
     fn on(
         &self,
         (cells, around): (CellBox, CellBox),

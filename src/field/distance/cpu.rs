@@ -214,8 +214,8 @@ pub fn refined(wide: &Block, level: u32, cells: CellBox) -> Block {
     refined_along(&along_y, 2, level, cells, &weights)
 }
 
-/// Refines a field along x. Each pass handles one position within the wide cells, for all wide
-/// cells.
+/// Refines a field along x. Each call of [`means`] computes, for all wide cells, the sample at one
+/// position within the wide cell.
 fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]]) -> Block {
     let mut to = wide.cells();
     (to.lo.x, to.hi.x) = (cells.lo.x, cells.hi.x);
@@ -247,7 +247,8 @@ fn refined_along_x(wide: &Block, level: u32, cells: CellBox, weights: &[[u32; 3]
     field
 }
 
-/// Refines a field along y or z. Each pass handles all samples along the preceding axes.
+/// Refines a field along y or z. Each call of [`means`] computes a row of cells along x if the axis
+/// is y, and a layer of cells perpendicular to z if the axis is z.
 fn refined_along(
     wide: &Block,
     axis: usize,

@@ -108,10 +108,10 @@ pub struct Bulk {
     pub scale: u32,
     /// The filter that averages the difference between the fine and the calm surface.
     pub around: Weights,
-    /// The ramp, over the mean difference in units, along which the fine surface replaces the calm
+    /// The range of the mean difference, in units, in which the fine surface replaces the calm
     /// surface.
     pub apart: Ramp,
-    /// The ramp, over samples of the calm surface, along which the fine surface fades out.
+    /// The range of the calm surface's samples in which the fine surface fades out.
     pub deep: Ramp,
 }
 
@@ -150,13 +150,14 @@ impl Ramp {
 /// The distances outside the calm surface at which drops and sheets replace the bulk's surface.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct StandsOut {
-    /// The ramp over this distance along which drops replace the surface.
+    /// The range of the distance outside the calm surface in which drops replace the bulk's
+    /// surface.
     pub ramp: Ramp,
     /// The distance, in units of the field, by which a sheet of full certainty stands out earlier
     /// than drops.
     pub earlier: u16,
-    /// The ramp over the difference between the fine and the calm surface. The surfaces agree in
-    /// the bulk; where they differ, sheets stand out earlier.
+    /// The range of the difference between the fine and the calm surface in which sheets begin to
+    /// stand out earlier. In the bulk, the two surfaces agree.
     pub apart: Ramp,
 }
 
@@ -166,8 +167,8 @@ impl StandsOut {
         self.ramp.begin - self.earlier
     }
 
-    /// The distance that counts for a particle `distance` outside the calm surface: `distance` or
-    /// less. `apart` is the difference between the fine and the calm surface. Where `apart` is
+    /// Returns `distance`, the distance of a particle outside the calm surface, or a smaller
+    /// distance. `apart` is the difference between the fine and the calm surface. Where `apart` is
     /// small, as in the bulk, a distance at which no drop stands out is reduced, so that no drop
     /// has to be computed.
     #[inline(always)]
@@ -177,8 +178,9 @@ impl StandsOut {
         if distance > self.ramp.begin { distance } else { distance.min(most) }
     }
 
-    /// The distance that counts for a sheet: `distance`, plus `earlier` times the certainty of the
-    /// sheet. `certainty` is in 4096ths.
+    /// Returns `distance`, the distance of particles outside the calm surface, increased by
+    /// `earlier` times the certainty of their sheet, so that the sheet stands out earlier than
+    /// drops do. `certainty` is in 4096ths.
     #[inline(always)]
     pub fn of_sheet(&self, distance: u16, certainty: u16) -> u16 {
         let earlier = (u32::from(certainty) * u32::from(self.earlier)) >> 12;

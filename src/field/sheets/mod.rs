@@ -113,11 +113,13 @@ pub(in crate::field) const BULK_CUT: f64 = 1.5;
 pub const IN_BULK: Ramp = Ramp::in_plateaus([0.34, 0.4]);
 /// Number of fraction bits of the weights by which a density is divided.
 pub const WEIGHT_BITS: u32 = 15;
-/// The least weight by which a density is divided, in 4096ths.
+/// The minimum of the weights by which a density is divided, in 4096ths. Smaller weights are raised
+/// to this value before they are smoothed.
 pub const LEAST_WEIGHT: u32 = 128;
 /// The range of the squared distance of B from a projection in which drops replace sheets.
 pub const IMPURE: Ramp = ramp([0.06, 0.09]);
-/// 1 over the squared distance of B from a projection at which a cell counts fully as a rim.
+/// The factor that converts the squared distance of B from a projection to the degree to which a
+/// cell is part of a rim. The degree is 1 if the squared distance is at least 1 / 16.
 pub const BY_RIM: i32 = 16;
 /// The range of det(I - B) in which `IMPURE_IF_FLAT` and `BEYOND_IF_FLAT` fade out, because the
 /// particles no longer lie in a plane.
@@ -165,7 +167,7 @@ pub struct Sheets {
 pub struct Loose<F> {
     /// The products of clouds and weights.
     pub clouds: F,
-    /// The weights, in 32768ths, and at least [`LEAST_WEIGHT`]; `None` if all are 1.
+    /// The weights, in 32768ths, and at least [`LEAST_WEIGHT`] / 4096; `None` if all are 1.
     pub weights: Option<F>,
 }
 
@@ -221,7 +223,8 @@ pub struct SheetConstants {
     pub by_size: i32,
     /// The factor of a^2 in the logarithm of a share.
     pub by_distance: i32,
-    /// The ramp over the stretch's logarithm along which sheets fade out.
+    /// The range of the stretch's logarithm in which sheets fade out: from the requested maximum to
+    /// `GONE` times this maximum.
     pub torn: Ramp,
 }
 

@@ -96,7 +96,8 @@ impl<'a> LayerPages<'a> {
         for bin in group {
             let contents = self.bins.contents(bin)?;
             let coord = self.bins.keys()[bin].coord();
-            // A size is computed from up to two attributes: a mass and a density.
+            // The size of a particle is computed from its last attribute or, if this is the density
+            // for a mass, from the last two.
             let numbers = &contents.attributes[contents.attributes.len().saturating_sub(2)..];
             let number = |at: usize| [0, 1].map(|i| numbers.get(i).map_or(0.0, |all| all[at]));
             // Neighbouring particles often have the same size, so the share of the previous

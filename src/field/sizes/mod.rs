@@ -103,8 +103,9 @@ impl Octaves {
     #[must_use]
     pub fn new(finest: f64, coarsest: f64, cell: f64) -> Self {
         let mut count = 1;
-        // Every size lies between two octaves, so the last octave begins at the largest size or
-        // above. The factor absorbs rounding errors.
+        // The surface around a particle is mixed from the octave that begins at or below the
+        // particle's size and the next octave. The last octave must therefore begin at the largest
+        // size or above it. The factor absorbs rounding errors.
         let most = coarsest / finest * (1.0 - 1e-6);
         while count < MOST_OCTAVES && most > f64::from(1_u32 << (count - 1)) {
             count += 1;

@@ -112,24 +112,24 @@ impl SpacingEstimate {
 #[non_exhaustive]
 pub enum NoEstimate {
     /// Too few particles.
-    #[error("there are too few of them")]
+    #[error("there are too few particles")]
     TooFew,
     /// No position is finite.
     #[error("no particle has a finite position")]
     NotFinite,
     /// Coordinates so large that squares of distances exceed f64.
-    #[error("their coordinates are too large")]
+    #[error("the coordinates of the particles are too large")]
     TooLarge,
     /// Nearly all particles share a few positions.
-    #[error("they have only {places} different positions")]
+    #[error("the particles have only {places} different positions")]
     Coincident {
         /// The number of distinct positions.
         places: usize,
     },
     /// Coordinates that are too coarse.
     #[error(
-        "they are so far from the origin that single-precision coordinates have steps of {}, which \
-         is too coarse",
+        "the particles are so far from the origin that single-precision coordinates have steps of \
+         {}, which is too coarse",
         shown(*step)
     )]
     SinglePrecision {

@@ -1,5 +1,5 @@
-//! Columns of a geometry's point attributes. Their numbers are in the file, or in a buffer to which
-//! they were copied.
+//! Columns with the point attributes of a geometry. The values of a column are in the bytes of the
+//! file or, if they cannot be read in place, in a buffer to which they were copied.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;

@@ -17,7 +17,7 @@
 //! | | 6 x 8 | lower and upper corner of the walls, f64; -inf and inf for sides without a wall; 0 if there are no walls |
 //! | | 8 | mu0, f64; 0 for symmetry and cloud |
 //! | | 8 | spacing, f64; 0 if it is not known; the smallest size if there are several |
-//! | | 4 x 8 | four numbers of particles: in cells, with positions that are not finite, beyond the grid, outside the walls or the box |
+//! | | 4 x 8 | four numbers of particles: in cells, with positions that are not finite, too far from the grid's origin, outside the walls or the box |
 //! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
 //! | | 4 | distance from the box, in cells, within which the pages include images of particles |
 //! | | 4 | 0 |

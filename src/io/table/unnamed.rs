@@ -364,7 +364,9 @@ impl Sample {
     /// lattice.
     fn starts_with_lattice(&self, count: usize) -> bool {
         let columns = &self.columns[..count];
-        // In a large lattice of small cells, no coordinate needs to repeat in the sampled rows.
+        // In a lattice with many more points along each axis than there are sampled rows, these
+        // rows may have no coordinate in common. Therefore, if three columns have whole numbers, a
+        // column of different numbers is an identifier only if another column repeats its numbers.
         let has_repeating = || columns.iter().any(|column| self.is_small(column.distinct()));
         let has_identifier = (0..2).any(|column| self.is_identifier(column));
         !self.is_small(self.distinct(0..count))

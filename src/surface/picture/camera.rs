@@ -21,12 +21,13 @@ pub(super) const FARTHEST: f64 = 1e100;
 pub enum View {
     /// From a direction, and as close as possible while the whole bounding box is visible.
     From {
-        /// Degrees around the up axis. At 0, the camera looks parallel to z, or to y if z points
-        /// up; at 90, it looks parallel to x.
+        /// Degrees around the up axis. At 0, the camera is on the +z side of the box, or on the -y
+        /// side if z points up; at 90, it is on the +x side.
         azimuth: f64,
         /// Degrees above the horizon.
         elevation: f64,
-        /// Magnification relative to the view of the whole bounding box.
+        /// Magnification relative to the view of the whole bounding box: with 2, the camera is half
+        /// as far away.
         zoom: f64,
     },
     /// From one point towards another point.

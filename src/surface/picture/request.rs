@@ -171,7 +171,8 @@ impl Picture {
             }
             Some(View::At { eye, target }) if !finite(&[eye, target].concat()) || eye == target => {
                 Err(PictureError::View(
-                    "the camera and the point that it looks at must be at different positions",
+                    "the camera and the point that it looks at must have finite coordinates and \
+                     different positions",
                 ))
             }
             _ => Ok(()),

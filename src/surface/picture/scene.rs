@@ -197,8 +197,9 @@ impl<'a> Scene<'a> {
         self.light(surface, towards, f32::exp, |place, bent| self.behind(place, bent))
     }
 
-    /// The radiance of a surface along a line of sight. `exp` is the exponential function, and
-    /// `behind` returns the radiance behind the fluid, as seen from a place in a direction.
+    /// The radiance of a surface along a line of sight. `exp` is the exponential function.
+    /// `behind(place, direction)` returns the radiance behind the fluid on the line of sight that
+    /// starts at `place` in the given direction.
     fn light(
         &self,
         surface: &PixelSurface,

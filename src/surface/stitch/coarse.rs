@@ -93,7 +93,8 @@ impl<'a> CoarseMesh<'a> {
         self.fine.emit_by(
             piece,
             |found, tile| {
-                // The first tile of a block has the block's first vertex.
+                // `first_vertex` counts the block's vertices before the tile, so it is 0 in the
+                // first tile of the block.
                 next = if tile.first_vertex == 0 { self.firsts[found] } else { next };
                 let (groups, first) = (groups(tile, self.fine.level(found)), next);
                 next += u64::from(groups.count_ones());

@@ -166,7 +166,7 @@ pub(super) fn count(value: i64, name: &str) -> Result<u64, ReadFault> {
     u64::try_from(value).map_err(|_| malformed(0, format!("{name} contains {value}")))
 }
 
-/// Entry number `index` of a data set of counts.
+/// The first count in row `index` of a data set.
 pub(super) fn entry(
     file: &H5File,
     group: &Group,
@@ -176,7 +176,7 @@ pub(super) fn entry(
     entries(file, group, name, index, 1).map(|entries| entries[0])
 }
 
-/// The numbers in entry `index` of a data set of counts. There must be at least `least` numbers.
+/// The counts in row `index` of a data set. A row with fewer than `least` counts is an error.
 pub(super) fn entries(
     file: &H5File,
     group: &Group,
