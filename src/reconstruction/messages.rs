@@ -321,10 +321,7 @@ fn files() -> String {
     );
     examples!(text, PictureError:
         Size(0, 99),
-        View(
-            "the camera and the point that it looks at must have finite coordinates and different \
-             positions",
-        ),
+        View("the positions of the camera and of its target must be finite and different"),
         Map { name: "rainbow".into(), known: "viridis, turbo".into() },
         NoAttribute { name: "heat".into(), known: "velocity".into() },
         Reference(CompareError::NoSurface(Side::Reference)),

@@ -55,8 +55,8 @@ pub struct Spacings {
     /// For particles that clearly have two resolutions: the spacing of the majority, and the
     /// spacing of the other particles.
     pub two: Option<[f64; 2]>,
-    /// The share of the particles that are deep in evenly filled fluid: in cells of about eight
-    /// times [`TARGETS`] whose 26 neighbours have similar counts.
+    /// The share of the particles that are deep in evenly filled fluid: in counting cells whose 26
+    /// neighbours have similar counts.
     pub even: f64,
 }
 
@@ -101,13 +101,13 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
         let enough = cells >= ENOUGH_CELLS * placements as usize
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
         enough.then(|| {
-            let wide = at_corner.twice_as_wide();
+            // In cells of this width, the particles of the coarser resolution may have no interior
+            // cells, so this also tries wider cells.
+            let wider = || two_of(at_corner.twice_as_wide().interior(), 2.0 * cell);
             Spacings {
                 mean: cell * libm::cbrt(cells as f64 / total as f64),
-                // In the narrower cells, the particles of the coarser resolution may have no
-                // interior cells.
-                two: two_of(inside, cell).or_else(|| two_of(wide.interior(), 2.0 * cell)),
-                even: wide.even().iter().sum::<usize>() as f64 / finite as f64,
+                two: two_of(inside, cell).or_else(wider),
+                even: at_corner.even().iter().sum::<usize>() as f64 / finite as f64,
             }
         })
     })

@@ -50,7 +50,7 @@ const LARGEST: f64 = 1e100;
 /// The minimum share of deep particles; with a smaller share, the fluid is thin.
 const THIN: f64 = 0.15;
 /// The minimum share of particles in evenly filled cells with which the fluid is certainly deep.
-const DEEP: f64 = 0.1;
+const DEEP: f64 = 0.24;
 
 /// The evidence about the spacing that the particles' positions give.
 #[derive(Debug, Clone, PartialEq)]

@@ -135,7 +135,7 @@ fn a_deep_lattice_with_different_distances_along_its_axes_is_counted() {
         for (side, jitter) in [(40, 0.0), (40, 0.1), (100, 0.0)] {
             let lattice = layers([side; 3], jitter);
             let stretched = |p: [f64; 3]| [0, 1, 2].map(|axis| p[axis] * scale[axis]);
-            let found = estimated(&lattice.into_iter().map(stretched).collect::<Vec<_>>());
+            let found = estimated(&turned(lattice.into_iter().map(stretched).collect()));
             let spacing = scale.iter().product::<f64>().cbrt();
             assert!(
                 (found.spacing / spacing - 1.0).abs() < 0.03 && !found.thin,

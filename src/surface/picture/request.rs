@@ -171,8 +171,7 @@ impl Picture {
             }
             Some(View::At { eye, target }) if !finite(&[eye, target].concat()) || eye == target => {
                 Err(PictureError::View(
-                    "the camera and the point that it looks at must have finite coordinates and \
-                     different positions",
+                    "the positions of the camera and of its target must be finite and different",
                 ))
             }
             _ => Ok(()),
