@@ -390,9 +390,9 @@ pub use particles::mixture::Mixture;
 pub use particles::sizes::{Meaning as SizeMeaning, Sizes};
 pub use particles::{AttributeValue, Cloud, Particles, StridedPositions};
 pub use reconstruction::{
-    Cells, EmptyReason, FoundWalls, Frame, Needs, OpenedFrame, PartDone, PartNeeds, PartShare,
-    Parts, PartsPlan, Reconstruction, Report, Slab, SpacingMistake, SpacingSource, SpacingWarning,
-    Surface, Warning,
+    Cells, EmptyReason, FoundWalls, Frame, Needs, NoVelocity, OpenedFrame, PartDone, PartNeeds,
+    PartShare, Parts, PartsPlan, Reconstruction, Report, Slab, SpacingMistake, SpacingSource,
+    SpacingWarning, Surface, Warning,
 };
 pub use settings::{Faces, Iso, MethodName, Setting, Settings, Source, Tank, Where};
 pub use simulation::{

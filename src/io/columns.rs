@@ -15,6 +15,7 @@ use crate::particles::kind::is_direction_name;
 use crate::particles::sieve::Sieve;
 use crate::particles::{AttributeInfo, AttributeKind, Label, Particles, RereadError};
 
+use super::names::velocity_of_components;
 use super::windows::{InputBytes, WindowPool, Windows};
 
 /// Granularity, in bytes, at which memory is released.
@@ -130,7 +131,8 @@ impl ParticleRows {
 
 impl<B: Windows> ColumnStore<B> {
     /// Combines columns with their bytes. If several attributes have the same name, keeps only the
-    /// first.
+    /// first. If the components of the velocity are separate attributes, such as `vx`, `vy` and
+    /// `vz`, adds the whole velocity as the last attribute.
     ///
     /// # Panics
     /// If a column extends beyond the bytes, if the numbers of a column overlap, or if an attribute
@@ -149,7 +151,11 @@ impl<B: Windows> ColumnStore<B> {
         }
         let mut names = HashSet::new();
         attributes.retain(|(info, _)| names.insert(info.name.clone()));
-        let (infos, columns): (Vec<_>, Vec<_>) = attributes.into_iter().unzip();
+        let (mut infos, mut columns): (Vec<_>, Vec<_>) = attributes.into_iter().unzip();
+        if let Some((velocity, components)) = velocity_of_components(&infos) {
+            infos.push(velocity);
+            columns.push(components.iter().flat_map(|&index| columns[index].clone()).collect());
+        }
         let last = match &rows {
             ParticleRows::All(count) => count.checked_sub(1),
             ParticleRows::Selected(sieve) => sieve.last(),

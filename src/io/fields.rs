@@ -2,8 +2,9 @@
 //! which each array has one entry per particle.
 
 use super::error::{no_step, several_steps};
-use super::names::{Quantity, is_preferred_position, quantities};
+use super::names::{Quantity, is_preferred_position, quantities, without_unit};
 use super::{ReadFault, UnreadPart, malformed};
+use crate::particles::velocity::velocity_rank;
 
 /// Maximum number of components of an attribute. An array with more components is a matrix or a
 /// spectrum.
@@ -153,6 +154,7 @@ impl<'a> NamedColumns<'a> {
         match components {
             1 => self.names.push(name.clone()),
             3 if !is_one_axis(self.fields, field) => {
+                let name = without_unit(name);
                 self.names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}")))
             }
             _ => {
@@ -300,6 +302,7 @@ pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
         let name = name.to_ascii_lowercase();
         let stem = name.rsplit(['_', '/', '.']).find(|part| !part.is_empty()).unwrap_or(&name);
         matches!(stem, "a" | "b" | "e" | "f" | "n" | "u" | "v" | "w" | "cd" | "rgb")
+            || velocity_rank(&name).is_some()
             || NO_POSITIONS.iter().any(|other| stem.starts_with(other))
     };
     [Axes::Particles, Axes::Components, Axes::Frames].into_iter().find_map(|axes| {

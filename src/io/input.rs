@@ -299,7 +299,6 @@ pub fn holds_mesh(path: &Path) -> Result<bool, ReadError> {
     let bytes = match extension.as_deref() {
         Some("vtk") => vtk::whole_file_if_text(bytes, Unpacking::in_memory()),
         Some("vtp" | "vtu") => vtp::whole_file_if_inline(bytes),
-        // Only the header of a .ply is read, so its text need not be converted.
         _ => Ok(bytes),
     };
     bytes.and_then(|bytes| has_faces(bytes.view())).map_err(|fault| ReadError::new(path, fault))

@@ -3,6 +3,11 @@
 
 use std::collections::{HashMap, HashSet};
 
+use crate::particles::AttributeInfo;
+use crate::particles::velocity::{
+    VELOCITY_NAMES, VELOCITY_WORDS, velocity_attribute, velocity_rank,
+};
+
 /// Names of a position in order of preference. The empty name stands for columns `x`, `y` and `z`.
 /// Names after the empty name may also mean a momentum, a pressure or a rotation.
 const POSITION: [&str; 25] = [
@@ -46,8 +51,6 @@ const POSITION_WORDS: [&str; 10] = [
     "location",
     "locations",
 ];
-/// Names that each stand for the three columns of a velocity.
-const VELOCITY_WORDS: [&str; 5] = ["v", "vel", "vels", "velocity", "velocities"];
 /// Names of other columns that many programs write.
 const COLUMN_WORDS: [&str; 34] = [
     "acc",
@@ -172,21 +175,12 @@ pub fn quantities(names: &[String]) -> Option<(Quantity, Vec<Quantity>)> {
 }
 
 fn grouped(names: &[&str]) -> Option<(Quantity, Vec<Quantity>)> {
-    let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
-    for (column, name) in names.iter().enumerate() {
-        if let Some((stem, axis)) = component(name) {
-            vectors.entry(stem).or_default()[axis].push(column);
-        }
-    }
+    let vectors = vectors(names);
     let colours: Vec<Vec<usize>> = COLOURS.iter().filter_map(|c| colour(names, c)).collect();
     let mut all = Vec::new();
     for (column, name) in names.iter().enumerate() {
-        let vector = component(name).and_then(|(stem, _)| match vectors[&stem].each_ref() {
-            [x, y, z] if [x, y, z].iter().all(|columns| columns.len() == 1) => {
-                Some((stem.0, [x[0], y[0], z[0]]))
-            }
-            _ => None,
-        });
+        let vector =
+            component(name).and_then(|(stem, _)| Some((stem.0, complete(&vectors[&stem])?)));
         if let Some(colour) = colours.iter().find(|colour| colour.contains(&column)) {
             if colour[0] == column {
                 all.push(Quantity { name: COLOUR.to_owned(), columns: colour.clone() });
@@ -216,6 +210,48 @@ fn grouped(names: &[&str]) -> Option<(Quantity, Vec<Quantity>)> {
         unnamed.name = unnamed.columns.iter().map(|&column| names[column]).collect();
     }
     Some((position, all))
+}
+
+/// For each stem and notation, the columns of each axis.
+fn vectors<'a>(names: &[&'a str]) -> HashMap<(&'a str, char), [Vec<usize>; 3]> {
+    let mut vectors = HashMap::<_, [Vec<usize>; 3]>::new();
+    for (column, name) in names.iter().enumerate() {
+        if let Some((stem, axis)) = component(name) {
+            vectors.entry(stem).or_default()[axis].push(column);
+        }
+    }
+    vectors
+}
+
+/// The columns of x, y and z. `None` if an axis does not have exactly one column.
+fn complete(columns: &[Vec<usize>; 3]) -> Option<[usize; 3]> {
+    match columns.each_ref().map(|columns| &columns[..]) {
+        [&[x], &[y], &[z]] => Some([x, y, z]),
+        _ => None,
+    }
+}
+
+/// Finds three single numbers among the attributes that are the components of the velocity, such as
+/// `vx`, `vy` and `vz`. Returns the velocity, with a name that no attribute has, and the indices of
+/// its components. `None` if an attribute is the whole velocity.
+pub fn velocity_of_components(infos: &[AttributeInfo]) -> Option<(AttributeInfo, [usize; 3])> {
+    if velocity_attribute(infos).is_some() {
+        return None;
+    }
+    let is_free = |name: &&&str| infos.iter().all(|info| info.name != **name);
+    let name = VELOCITY_NAMES.iter().find(is_free)?;
+    let numbers = infos.iter().map(|info| match info.components {
+        1 => bare_name(&info.name),
+        _ => "",
+    });
+    let numbers: Vec<&str> = numbers.collect();
+    let vectors = vectors(&numbers);
+    let ranked = numbers.iter().filter_map(|number| {
+        let (stem, _) = component(number)?;
+        let rank = velocity_rank(stem.0.trim_end_matches(JOINTS))?;
+        Some((rank, complete(&vectors[&stem])?))
+    });
+    ranked.min().map(|(_, components)| (AttributeInfo::new(*name, 3), components))
 }
 
 /// The names, with `x`, `y` and `z` instead of names such as `x-coordinate`. `None` if the names
@@ -375,7 +411,8 @@ pub fn bare_name(name: &str) -> &str {
     end.map_or(name, |at| name[..at].trim_end())
 }
 
-fn without_unit(name: &str) -> &str {
+/// The name without a unit after a blank.
+pub fn without_unit(name: &str) -> &str {
     let name = name.trim().trim_matches(['"', '\'']);
     // The axis of a component, as in `Velocity [x]`, is not a unit.
     let is_axis = |text: &str| matches!(text, "x" | "y" | "z" | "X" | "Y" | "Z");
@@ -418,5 +455,47 @@ fn component(name: &str) -> Option<((&str, char), usize)> {
             Some(((stem, 'u'), last as usize - 'u' as usize))
         }
         _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn found(names: &[&str]) -> Option<(String, [usize; 3])> {
+        let infos: Vec<_> = names.iter().map(|name| AttributeInfo::new(*name, 1)).collect();
+        velocity_of_components(&infos).map(|(velocity, components)| (velocity.name, components))
+    }
+
+    #[test]
+    fn components_of_the_velocity_are_found_in_every_notation() {
+        for [x, y, z] in [
+            ["vx", "vy", "vz"],
+            ["VX", "VY", "VZ"],
+            ["v_x", "v_y", "v_z"],
+            ["velX", "velY", "velZ"],
+            ["velocity_x", "velocity_y", "velocity_z"],
+            ["Velocity:0", "Velocity:1", "Velocity:2"],
+            ["velocity[i]", "velocity[j]", "velocity[k]"],
+            ["x-velocity", "y-velocity", "z-velocity"],
+            ["vx [m/s]", "vy [m/s]", "vz [m/s]"],
+            ["vx[m/s]", "vy[m/s]", "vz[m/s]"],
+            ["Ux", "Uy", "Uz"],
+        ] {
+            let expected = Some(("velocity".to_owned(), [2, 3, 0]));
+            assert_eq!(found(&[z, "rho", x, y]), expected, "{x}");
+        }
+        let expected = Some(("v".to_owned(), [1, 2, 3]));
+        assert_eq!(found(&["velocity", "vx", "vy", "vz"]), expected, "the name is taken");
+    }
+
+    #[test]
+    fn other_vectors_and_incomplete_velocities_are_not_a_velocity() {
+        for names in [["u", "v", "w"], ["ax", "ay", "az"], ["vx", "vy", "vy"], ["vx", "vy", "vZ"]] {
+            assert_eq!(found(&names), None, "{names:?}");
+        }
+        let infos = ["vx", "vy", "vz"].map(|name| AttributeInfo::new(name, 1)).to_vec();
+        let with_whole = [infos, vec![AttributeInfo::new("vel", 3)]].concat();
+        assert_eq!(velocity_of_components(&with_whole), None);
     }
 }

@@ -9,6 +9,7 @@ use crate::particles::{AttributeInfo, Particles, attribute_called, velocity_attr
 
 use super::bytes::Unpacking;
 use super::input_format::InputFormat;
+use super::names::velocity_of_components;
 use super::{ParticleFile, ReadFault};
 
 /// Names of the array in which VTK flags points or cells that are copies or hidden. VTK before
@@ -94,13 +95,17 @@ impl WantedAttributes<'_> {
     }
 
     /// For each attribute of an input, whether to read it. If a requested attribute is missing, all
-    /// attributes are read, so that the error can list them.
+    /// attributes are read, so that the error can list them. Components of the velocity that are
+    /// separate attributes are always read.
     pub fn among(&self, infos: &[AttributeInfo]) -> Vec<bool> {
         let Self::Only { .. } = self else { return vec![true; infos.len()] };
         let is_flag = |name: &str| GHOSTS.contains(&name) || name == TAG || is_material_name(name);
         let requested = self.requested_among(infos);
+        let velocity = velocity_of_components(infos).map(|(_, components)| components);
         let reads = |(number, info): (usize, &AttributeInfo)| {
-            is_flag(&info.name) || requested.as_ref().is_none_or(|requested| requested[number])
+            is_flag(&info.name)
+                || velocity.is_some_and(|components| components.contains(&number))
+                || requested.as_ref().is_none_or(|requested| requested[number])
         };
         infos.iter().enumerate().map(reads).collect()
     }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::{AttributeInfo, Particles, VELOCITY_NAMES, carried_infos, chunks};
+use super::{AttributeInfo, Particles, carried_infos, chunks, velocity_attribute};
 
 /// The meaning of an attribute's numbers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -489,7 +489,7 @@ pub(super) fn whole_extremes(particles: &dyn Particles, index: usize) -> [i64; 2
 
 /// Whether an integer attribute is a direction: it has three components and the name of a velocity.
 pub(crate) fn is_direction_name(info: &AttributeInfo) -> bool {
-    info.components == 3 && VELOCITY_NAMES.contains(&&*info.name)
+    velocity_attribute(std::slice::from_ref(info)).is_some()
 }
 
 #[cfg(test)]

@@ -12,6 +12,7 @@ pub mod occurring;
 pub mod selection;
 pub mod sieve;
 pub mod sizes;
+pub mod velocity;
 
 use std::fmt;
 use std::io;
@@ -26,6 +27,7 @@ use thiserror::Error;
 pub use cloud::{AttributeValue, Cloud};
 pub use kind::{AttributeKind, colour_attribute};
 pub use metered::MeteredParticles;
+pub use velocity::velocity_attribute;
 
 /// Describes an attribute, which is a value that every particle has.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -348,42 +350,6 @@ impl<T: Copy + Into<f64> + Sync> Particles for StridedPositions<'_, T> {
 #[multiversion(targets("x86_64+avx512f", "x86_64+avx2"))]
 fn widen(to: &mut [f64], from: &[f32]) {
     to.iter_mut().zip(from).for_each(|(to, &from)| *to = from.into());
-}
-
-/// The names that simulators use for the velocity of particles.
-pub const VELOCITY_NAMES: [&str; 23] = [
-    "velocity",
-    "v",
-    "Vel",
-    "vel",
-    "V",
-    "Velocity",
-    "velocities",
-    "Velocities",
-    ".velocities",
-    "vels",
-    "particle_velocity",
-    "particle_velocities",
-    "particle_vel",
-    "particle_v",
-    "particle_qd",
-    "particles_velocity",
-    "particles_vel",
-    "p_velocity",
-    "p_vel",
-    "p_v",
-    "v_p",
-    "vp",
-    "vel_p",
-];
-
-/// The index of the velocity among the attributes: it has three components and one of the names in
-/// `VELOCITY_NAMES`.
-#[must_use]
-pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
-    VELOCITY_NAMES
-        .iter()
-        .find_map(|name| attributes.iter().position(|a| a.name == *name && a.components == 3))
 }
 
 /// The index of the attribute called `name`. If no attribute has exactly this name, `velocity`

@@ -7,8 +7,8 @@ use meniscus::error::{
     RereadError, SimulationError, TooFine, VulkanError, WhyOne, WriteFault, shown, significant,
 };
 use meniscus::{
-    Comparison, Condition, EmptyReason, Mixture, SpacingMistake, SpacingSource, SpacingWarning,
-    TooSmall, Warning,
+    Comparison, Condition, EmptyReason, Mixture, NoVelocity, SpacingMistake, SpacingSource,
+    SpacingWarning, TooSmall, Warning,
 };
 
 use super::options::ReconstructOptions;
@@ -275,6 +275,11 @@ fn shell_word(text: &str) -> String {
 /// all indicators except cloud.
 fn on_lost_particles(smoothed: bool) -> &'static str {
     if smoothed { "--indicator cloud" } else { "--cell" }
+}
+
+/// The message about attributes none of which is a velocity, with advice.
+pub fn no_velocity_message(found: &NoVelocity) -> String {
+    format!("{found}; to transfer attributes to the mesh, use --attributes")
 }
 
 /// The text of a warning, with advice that depends on `options`.

@@ -7,6 +7,7 @@ use meniscus::error::shown;
 use meniscus::files::{InputFormat, MeshFormat, files};
 use meniscus::{Error, Needs, OpenedFrame, Simulation};
 
+use super::advice::no_velocity_message;
 use super::notes::{Verdict, print};
 use super::one_frame::{PreparedRequest, prepare, write};
 use super::options::ReconstructOptions;
@@ -53,6 +54,9 @@ fn run_frame(options: &ReconstructOptions, inputs: &[PathBuf]) -> Result<Verdict
     let opened = request.open_together(inputs)?;
     let input = &inputs[0];
     report_opened(inputs, &opened, &notes);
+    if let Some(found) = opened.no_velocity(output.format()) {
+        notes.say(no_velocity_message(&found));
+    }
     opened.check_output(&output)?;
     if options.dry_run {
         print(&dry_run(options, &opened, output.format())?)?;

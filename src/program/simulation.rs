@@ -9,7 +9,7 @@ use meniscus::{
     Cancel, Error, Event, FrameCounts, FrameDone, FrameFailed, Simulation, Summary, Warning,
 };
 
-use super::advice::{error_message, spacing_message, warning_message};
+use super::advice::{error_message, no_velocity_message, spacing_message, warning_message};
 use super::interrupt;
 use super::notes::Notes;
 use super::notes::{Verdict, print};
@@ -109,6 +109,9 @@ impl Listener<'_> {
     fn handle_event(&mut self, event: &Event) {
         match event {
             Event::SpacingWarning(warning) => self.notes().warn(&spacing_message(warning)),
+            Event::NoVelocity { path, found } => {
+                self.notes().say(format!("{}: {}", path.display(), no_velocity_message(found)));
+            }
             Event::Waiting { .. }
             | Event::TimesInNames { .. }
             | Event::Restarted { .. }

@@ -41,6 +41,7 @@ mod threads;
 mod warning;
 mod width;
 
+pub use attributes::NoVelocity;
 pub use builder::Reconstruction;
 pub use cells::{CellSize, Cells, FoundWalls, Slab, SpacingHints};
 pub(crate) use checked::{CheckedRequest, StartedRequest};

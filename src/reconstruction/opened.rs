@@ -9,12 +9,14 @@ use crate::field::walls::GapAtWall;
 use crate::frame::{Engine, FrameError};
 use crate::io::input::open_joined;
 use crate::io::mnf::{PackedFrame, is_packed, open_frame};
+use crate::io::output::MeshFormat;
 use crate::io::{ParticleFile, ReadError, UnreadPart};
 use crate::particles::kind::settled;
 use crate::particles::{MeteredParticles, Particles};
 use crate::system::control::Stage;
 use crate::system::timings::Timings;
 
+use super::attributes::NoVelocity;
 use super::checked::{CheckedRequest, StartedRequest};
 use super::frame::{Frame, FrameSamples};
 use super::{Cells, ChosenSampling, FoundWalls, Output, SamplingRequest, SpacingHints, WallSearch};
@@ -225,6 +227,18 @@ impl OpenedFrame {
         match &self.input {
             Input::Particles { chosen, .. } => {
                 chosen.moved.then(|| chosen.sampling.grid.origin().to_array())
+            }
+            Input::Packed(_) => None,
+        }
+    }
+
+    /// The attributes of the input, if a mesh in `format` would have a velocity by default, but none
+    /// of the attributes is a velocity.
+    #[must_use]
+    pub fn no_velocity(&self, format: MeshFormat) -> Option<NoVelocity> {
+        match &self.input {
+            Input::Particles { file, .. } => {
+                self.request.checked.settings.no_velocity(file, Some(format))
             }
             Input::Packed(_) => None,
         }

@@ -14,7 +14,7 @@ use crate::field::calibration::{Calibration, Plateau};
 use crate::grid::units::{shown, significant};
 use crate::io::series::SeriesFrame;
 use crate::io::time_codes::UnusedTimes;
-use crate::reconstruction::{Report, SpacingWarning, Warning, lost_warning};
+use crate::reconstruction::{NoVelocity, Report, SpacingWarning, Warning, lost_warning};
 use crate::system::cancel::Cancel;
 use crate::system::control::Progress;
 
@@ -42,6 +42,14 @@ pub enum Event {
     },
     /// The spacing may be wrong.
     SpacingWarning(Box<SpacingWarning>),
+    /// The calibration frame has attributes, but none of them is a velocity, so the meshes have no
+    /// attributes.
+    NoVelocity {
+        /// The file of the calibration frame.
+        path: PathBuf,
+        /// The attributes.
+        found: NoVelocity,
+    },
     /// The conversion starts again, because settings or the calibration frame changed.
     Restarted {
         /// The state's file.
@@ -333,6 +341,7 @@ impl fmt::Display for Event {
                 path.display()
             ),
             Self::SpacingWarning(warning) => write!(f, "warning: {warning}"),
+            Self::NoVelocity { path, found } => write!(f, "{}: {found}", path.display()),
             Self::Restarted { state, differing } => {
                 write!(f, "{}: starting again; changed: {differing}", state.display())
             }

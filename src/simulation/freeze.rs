@@ -14,7 +14,7 @@ use crate::io::bytes::Unpacking;
 use crate::io::mnf::{is_packed, open_frame};
 use crate::particles::kind::{SettledKind, determine, settled_for_all};
 use crate::particles::{AttributeInfo, Particles};
-use crate::reconstruction::{self, FoundWalls, Slab, SpacingWarning, WallSearch};
+use crate::reconstruction::{self, FoundWalls, NoVelocity, Slab, SpacingWarning, WallSearch};
 
 use super::event::Event;
 use super::setup::{POLL, Setup};
@@ -33,6 +33,7 @@ struct MeasuredFrame {
     trust: Trust,
     /// Warnings about the frame's spacing.
     warnings: Vec<SpacingWarning>,
+    no_velocity: Option<NoVelocity>,
 }
 
 impl Setup<'_> {
@@ -254,6 +255,9 @@ impl Setup<'_> {
             .warnings
             .iter()
             .for_each(|warning| self.send(Event::SpacingWarning(Box::new(warning.clone()))));
+        if let Some(found) = found.no_velocity.clone() {
+            self.send(Event::NoVelocity { path: frame.path.clone(), found });
+        }
         let shared = Box::new(found.shared.clone());
         self.send(Event::Measured { path: frame.path.clone(), shared, trust: found.trust });
     }
@@ -278,10 +282,8 @@ impl Setup<'_> {
             let measured = measured.map_err(|e| in_file(e.into()))?;
             let spacing = packed.facts().spacing;
             let shared = shared(frame.number, input, spacing, None, (None, None), measured);
-            return Ok((
-                MeasuredFrame { shared, trust: measured.trust, warnings: Vec::new() },
-                None,
-            ));
+            let (trust, warnings) = (measured.trust, Vec::new());
+            return Ok((MeasuredFrame { shared, trust, warnings, no_velocity: None }, None));
         }
         let file = self.open_particles(frame, resources)?;
         let file = file.require_selected().map_err(|fault| ReadError::new(path, fault))?;
@@ -311,7 +313,9 @@ impl Setup<'_> {
         if let Some(first) = lattice {
             (shared.spacing, shared.spacing_source) = (first.spacing, first.spacing_source.clone());
         }
-        Ok((MeasuredFrame { shared, trust: measured.trust, warnings: cells.warnings }, Some(file)))
+        let no_velocity = settings.no_velocity(&file, format);
+        let (trust, warnings) = (measured.trust, cells.warnings);
+        Ok((MeasuredFrame { shared, trust, warnings, no_velocity }, Some(file)))
     }
 }
 

@@ -95,6 +95,29 @@ fn every_storage_type_is_read_in_every_form_and_arrangement() {
 }
 
 #[test]
+fn separate_components_of_a_velocity_are_read_by_default() {
+    let number = |name: &str, value: f64| {
+        numeric(name, "fpreal32", 1, &[value; 5], &Layout::Pages(1024, vec![1]))
+    };
+    let numbers = [number("vz", 3.0), number("rho", 7.0), number("vx", 1.0), number("vy", 2.0)];
+    let attributes: Vec<Value> = [position(5)].into_iter().chain(numbers).collect();
+    let wanted =
+        WantedAttributes::Only { names: None, conditions: &[], sizes: &SizeChoice::Ignored };
+    for form in Form::ALL {
+        let document = cloud(5, attributes.clone()).document(form);
+        let file =
+            houdini::read_particles(document.into(), wanted, Unpacking::in_memory()).unwrap();
+        assert_eq!(
+            attribute(&file, "velocity"),
+            [[1.0_f32, 2.0, 3.0]; 5].as_flattened(),
+            "{form:?}"
+        );
+        let unread: Vec<_> = file.unread.iter().map(|info| info.name.as_str()).collect();
+        assert_eq!(unread, ["rho"], "{form:?}");
+    }
+}
+
+#[test]
 fn positions_of_every_storage_type_and_arrangement_are_read() {
     for form in Form::ALL {
         for storage in ["fpreal16", "fpreal32", "fpreal64"] {

@@ -558,6 +558,10 @@ fn velocities_are_recognised_by_names_like_those_of_positions() {
         ("xp", "vp"),
         ("p_pos", "p_vel"),
         ("pos", "vels"),
+        ("POS", "VEL"),
+        ("pos", "particle velocity"),
+        ("pos", "fluid_velocity"),
+        ("pos", "U"),
     ] {
         let arrays = [(position, vectors()), (velocity, vectors())];
         let file = read(NPZ, &build::npz(&arrays, CompressionMethod::Stored)).unwrap();
@@ -565,6 +569,31 @@ fn velocities_are_recognised_by_names_like_those_of_positions() {
         let found = velocity_attribute(infos).map(|index| &*infos[index].name);
         assert_eq!((positions(&file), found), (points.clone(), Some(velocity)));
     }
+    let arrays = [("pos [m]", vectors()), ("velocity [m/s]", vectors())];
+    let file = read(NPZ, &build::npz(&arrays, CompressionMethod::Stored)).unwrap();
+    assert_eq!((positions(&file), attributes(&file)), (points, vec![("velocity", 3)]));
+}
+
+#[test]
+fn separate_components_of_a_velocity_in_vtk_xml_are_also_a_vector() {
+    let array = |name: &str, components: usize, values: &str| {
+        format!(
+            "<DataArray type=\"Float32\" Name=\"{name}\" NumberOfComponents=\"{components}\" \
+             format=\"ascii\">{values}</DataArray>"
+        )
+    };
+    let arrays = [("vz", "5 6"), ("rho", "7 8"), ("vx", "1 2"), ("vy", "3 4")];
+    let arrays = arrays.map(|(name, values)| array(name, 1, values)).concat();
+    let text = format!(
+        "<VTKFile type=\"PolyData\" version=\"1.0\" byte_order=\"LittleEndian\"><PolyData>\
+         <Piece NumberOfPoints=\"2\"><PointData>{arrays}</PointData><Points>{}</Points></Piece>\
+         </PolyData></VTKFile>",
+        array("Points", 3, "0 0 0 1 1 1")
+    );
+    let file = read(VTU, text.as_bytes()).unwrap();
+    let expected = [("vz", 1), ("rho", 1), ("vx", 1), ("vy", 1), ("velocity", 3)];
+    assert_eq!(attributes(&file), expected);
+    assert_eq!(attribute(&file, "velocity"), [1.0, 3.0, 5.0, 2.0, 4.0, 6.0]);
 }
 
 #[test]

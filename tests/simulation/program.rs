@@ -1975,6 +1975,31 @@ fn a_frame_that_lacks_the_velocity_of_other_frames_causes_a_warning() {
 }
 
 #[test]
+fn attributes_without_a_velocity_are_reported_once() {
+    let folder = TempDir::new().unwrap();
+    for frame in 1..=3 {
+        let rows: String =
+            ball(frame).iter().map(|[x, y, z]| format!("{x},{y},{z},1000,0.1\n")).collect();
+        let table = format!("x,y,z,heat,stress\n{rows}");
+        fs::write(folder.path().join(format!("f_{frame}.csv")), table).unwrap();
+        fs::write(folder.path().join(format!("g_{frame}.xyz")), raw(&ball(frame))).unwrap();
+    }
+    for (arguments, reports) in [
+        (&["f_{}.csv", "-o", "a_{}.ply"][..], 1),
+        (&["f_1.csv", "-o", "b.ply"], 1),
+        (&["f_1.csv", "-o", "c.ply", "--attributes", "heat"], 0),
+        (&["f_{}.csv", "-o", "d_{}.ply", "--attributes", "none"], 0),
+        (&["f_1.csv", "-o", "e.obj"], 0),
+        (&["g_1.xyz", "-o", "g.ply"], 0),
+    ] {
+        let messages = run(folder.path(), arguments, 0);
+        let found =
+            messages.matches("no velocity found among the attributes heat, stress;").count();
+        assert_eq!(found, reports, "{arguments:?}: {messages}");
+    }
+}
+
+#[test]
 fn frames_emptied_by_a_condition_and_omitted_attributes_are_reported() {
     let folder = TempDir::new().unwrap();
     for frame in 1..=3 {

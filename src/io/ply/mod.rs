@@ -2,7 +2,8 @@
 //!
 //! A header lists the elements in the order of their data, each with a count and its properties.
 //! The element `vertex` contains particles or the vertices of a mesh. The element `face` contains
-//! polygons. A file without faces is a particle file.
+//! polygons. A file in which no face has an area is a particle file: some programs write each
+//! particle as a face with one corner, too.
 
 mod header;
 mod read;
@@ -14,8 +15,8 @@ pub use stream::StreamedMesh;
 pub(in crate::io) use write::attribute_names;
 pub use write::write_mesh;
 
-/// Attributes that consist of three properties. Each entry has the name of the attribute and the
-/// names of the properties.
+/// Attributes that replace three properties. Each entry has the name of the attribute and the names
+/// of the properties.
 const GROUPS: [(&str, [&str; 3]); 4] = [
     ("velocity", ["vx", "vy", "vz"]),
     ("velocity", ["velocity_x", "velocity_y", "velocity_z"]),

@@ -3,6 +3,7 @@
 use std::ops::{ControlFlow, Range};
 
 use crate::io::bytes::{ByteView, Bytes, PrivateBytes, Slice, UnpackBuffer, Unpacking};
+use crate::io::cell_types::CellCounts;
 use crate::io::columns::{Column, Endian, Scalar};
 use crate::io::scan::{Lines, Scanner};
 use crate::io::text::decode_pieces;
@@ -18,18 +19,34 @@ use crate::io::names::{COLOUR, COLOURS};
 /// Minimum number of bytes that are collected before they are appended to the decoded rows.
 const PIECE: usize = 1 << 16;
 
-/// Reads a file of particles with [`read_points`].
+/// Number of bytes of the faces that are searched for a face with an area before the whole file is
+/// read. In a mesh, the first face usually has an area.
+const HEAD: usize = 1 << 16;
+
+/// Reads a file of particles with [`read_points`]. Faces with one or two corners are vertices and
+/// lines, which some programs write for particles.
 ///
 /// # Errors
-/// [`ReadFault::Mesh`] if there are faces, and the errors of [`read_points`].
+/// [`ReadFault::Mesh`] if a face has an area, and the errors of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = PlyHeader::parse(bytes.view())?;
     let is_of_mesh = |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
     let counts = header.elements.iter().filter(is_of_mesh).map(|element| element.count as u64);
-    match counts.fold(0, u64::saturating_add) {
-        0 => points(bytes, &header, unpacking),
-        faces => Err(ReadFault::Mesh { faces }),
+    let announced = counts.fold(0, u64::saturating_add);
+    if announced == 0 {
+        return points(bytes, &header, unpacking);
     }
+    let mesh = ReadFault::Mesh { faces: announced };
+    // Without a list of corners, it is unknown whether a face has an area.
+    let Ok(Some(corners)) = faces(&header) else { return Err(mesh) };
+    if begins_with_area(bytes.view(), &header, corners)? {
+        return Err(mesh);
+    }
+    let whole = bytes.read_whole(unpacking)?;
+    let at = start(whole.view(), &header, corners.0)?;
+    let cells = cells(&whole, header.encoding, corners, at)?;
+    let file = points(Bytes::Kept(whole), &header, unpacking)?;
+    Ok(ParticleFile { only_lines: cells.are_lines(), ..file })
 }
 
 /// Reads the rows of `vertex` as particles, whether or not there are faces. Binary rows are read in
@@ -38,8 +55,11 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// The properties x, y and z may be anywhere, in any order. vx, vy and vz (or `velocity_x`,
 /// `vel_x`, ...) form the attribute `velocity`. nx, ny and nz form `normal`. red, green, blue and
 /// optionally alpha form `color`. Consecutive properties `a_0`, `a_1`, ... form one attribute `a`.
-/// Every other property becomes an attribute with its own name. Lists are skipped, and elements
+/// Every other property becomes an attribute with its own name. [`ColumnStore::new`] adds the
+/// velocity if its components have other names, such as `velx`. Lists are skipped, and elements
 /// after `vertex` are not read.
+///
+/// [`ColumnStore::new`]: crate::io::columns::ColumnStore::new
 ///
 /// # Errors
 /// [`ReadFault::Line`] for an invalid header or row of text, [`ReadFault::Truncated`] for fewer
@@ -70,12 +90,64 @@ fn points(
     Ok(vertices(bytes.view(), header, unpacking)?.into_particles(bytes, format))
 }
 
-/// Whether the file has faces, and is therefore a mesh. Reads only the header.
+/// Whether the file is a mesh: a face has an area. Reads the whole file only if its first faces are
+/// vertices or lines, or if it is text.
 ///
 /// # Errors
-/// The errors of [`read_mesh`] about the header.
+/// The errors of [`read_mesh`] about the header and about faces before the first with an area.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
-    Ok(faces(&PlyHeader::parse(bytes)?)?.is_some())
+    let header = PlyHeader::parse(bytes)?;
+    let Some(corners) = faces(&header)? else { return Ok(false) };
+    if begins_with_area(bytes, &header, corners)? {
+        return Ok(true);
+    }
+    let whole = bytes.read(0..bytes.len())?;
+    let at = start(ByteView::from(&*whole), &header, corners.0)?;
+    match cells(&whole, header.encoding, corners, at) {
+        Err(ReadFault::Mesh { .. }) => Ok(true),
+        counted => counted.map(|_| false),
+    }
+}
+
+/// Whether a face with an area is found without reading the whole file. This is possible if all
+/// rows before the faces have a fixed size.
+fn begins_with_area(
+    bytes: ByteView,
+    header: &PlyHeader,
+    corners: (&Element, usize),
+) -> Result<bool, ReadFault> {
+    let mut before = header.elements.iter().take_while(|other| !std::ptr::eq(*other, corners.0));
+    if header.encoding == Encoding::Ascii || before.any(|element| element.row().is_none()) {
+        return Ok(false);
+    }
+    let at = start(bytes, header, corners.0)?;
+    let head = bytes.read(at..bytes.len().min(at.saturating_add(HEAD)))?;
+    // The last row of the head may be incomplete, so other errors are ignored.
+    Ok(matches!(cells(&head, header.encoding, corners, 0), Err(ReadFault::Mesh { .. })))
+}
+
+/// Counts the vertices and lines among the faces, whose rows start at byte `at`. `corners` is the
+/// result of [`faces`].
+///
+/// # Errors
+/// [`ReadFault::Mesh`] at the first face with an area, and errors for invalid rows before it.
+fn cells(
+    bytes: &[u8],
+    encoding: Encoding,
+    (element, list): (&Element, usize),
+    at: usize,
+) -> Result<CellCounts, ReadFault> {
+    let mut cells = CellCounts::default();
+    for_each_row(bytes, encoding, element, at, Some(list), |_, _, corners| {
+        match corners.len() {
+            0 => {}
+            1 => cells.vertices += 1,
+            2 => cells.lines += 1,
+            _ => return Err(ReadFault::Mesh { faces: element.count as u64 }),
+        }
+        Ok(())
+    })?;
+    Ok(cells)
 }
 
 /// Reads vertices and faces. Each polygon becomes a fan of triangles around its first corner.

@@ -1,9 +1,13 @@
 //! Tests of reading particles from .ply files.
 
+use std::io::Write;
+
+use meniscus::internals::io::bytes::{Unpacking, open_bytes};
 use meniscus::internals::io::{ReadFault, ply};
 use meniscus::internals::particles::{
     AttributeKind, Particles, attribute_called, velocity_attribute,
 };
+use tempfile::NamedTempFile;
 
 use super::{
     ENCODINGS, PLY, PlyBuilder, TRIANGLE, attribute, attributes, ply_with_face, positions,
@@ -81,6 +85,73 @@ fn ply_properties_of_a_vector_become_one_attribute() {
     let lines = "element vertex 1\nproperty float x\nproperty float y\nproperty float z\nproperty float vx\n";
     let file = PlyBuilder::new("ascii", lines).row(&[("float", 1.0); 4]).bytes;
     assert_eq!(attribute(&PLY.particles(&file).unwrap(), "vx"), [1.0]);
+}
+
+#[test]
+fn separate_components_of_a_velocity_in_a_ply_are_also_a_vector() {
+    for [x, y, z] in [["velx", "vely", "velz"], ["v_x", "v_y", "v_z"], ["velX", "velY", "velZ"]] {
+        let names = ["x", "y", "z", z, "id", x, y];
+        let lines: String = names.iter().map(|name| format!("property float {name}\n")).collect();
+        let row: Vec<_> = (0..names.len()).map(|i| ("float", i as f64)).collect();
+        let header = format!("element vertex 1\n{lines}");
+        for encoding in ENCODINGS {
+            let file = PLY.particles(&PlyBuilder::new(encoding, &header).row(&row).bytes).unwrap();
+            let wanted = [(z, vec![3.0]), ("id", vec![4.0]), (x, vec![5.0]), (y, vec![6.0])];
+            let wanted = wanted.into_iter().chain([("velocity", vec![5.0, 6.0, 3.0])]);
+            let wanted = wanted.map(|(name, values)| (name.to_owned(), values.len(), values));
+            assert_eq!(attributes(&file), wanted.collect::<Vec<_>>(), "{encoding} {x}");
+        }
+    }
+}
+
+/// A .ply with three points. A face with three corners is a triangle.
+fn ply_with_faces(encoding: &'static str, faces: &[&[f64]]) -> Vec<u8> {
+    let header = format!(
+        "element vertex 3\nproperty float x\nproperty float y\nproperty float z\n\
+         element face {}\nproperty list uchar int vertex_indices\n",
+        faces.len()
+    );
+    let mut file = PlyBuilder::new(encoding, &header);
+    for axes in [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]] {
+        file = file.row(&axes.map(|axis| ("float", axis)));
+    }
+    for corners in faces {
+        let length = ("uchar", corners.len() as f64);
+        let corners = corners.iter().map(|&corner| ("int", corner));
+        file = file.row(&[length].into_iter().chain(corners).collect::<Vec<_>>());
+    }
+    file.bytes
+}
+
+#[test]
+fn a_ply_whose_faces_have_no_area_contains_particles() {
+    let (point, line, triangle): (&[f64], &[f64], &[f64]) = (&[1.0], &[0.0, 1.0], &[0.0, 1.0, 2.0]);
+    let read = |bytes: &[u8]| {
+        let mut written = NamedTempFile::new().unwrap();
+        written.write_all(bytes).unwrap();
+        let opened = open_bytes(written.path()).unwrap();
+        let found = [opened.view(), bytes.into()].map(|bytes| ply::has_faces(bytes).unwrap());
+        assert_eq!(found[0], found[1], "by position and in memory");
+        (found[0], ply::read_particles(opened, Unpacking::in_memory()))
+    };
+    for encoding in ENCODINGS {
+        for (faces, only_lines) in
+            [([point, point, point], false), ([line, &[], line], true), ([point, line, &[]], false)]
+        {
+            let (has_faces, file) = read(&ply_with_faces(encoding, &faces));
+            let file = file.unwrap();
+            assert_eq!((has_faces, file.particles.len()), (false, 3), "{encoding} {faces:?}");
+            assert_eq!(file.only_lines, only_lines, "{encoding} {faces:?}");
+        }
+        // The second mesh begins with more vertices than are read at first.
+        for points in [2, 40_000] {
+            let faces = [vec![point; points], vec![triangle]].concat();
+            let (has_faces, file) = read(&ply_with_faces(encoding, &faces));
+            assert!(has_faces, "{encoding}");
+            let count = faces.len() as u64;
+            assert!(matches!(file, Err(ReadFault::Mesh { faces }) if faces == count), "{encoding}");
+        }
+    }
 }
 
 #[test]

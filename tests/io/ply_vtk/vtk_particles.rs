@@ -4,7 +4,7 @@ use std::path::Path;
 
 use meniscus::internals::io::bytes::{Unpacking, open_bytes};
 use meniscus::internals::io::{ReadFault, UnreadPart, vtk};
-use meniscus::internals::particles::Particles;
+use meniscus::internals::particles::{Particles, velocity_attribute};
 
 use super::{
     TWO, TWO_POSITIONS, VTK, VtkBuilder, attribute, attributes, dual, positions, splish,
@@ -50,6 +50,30 @@ fn vtk_files_of_every_program_are_read_exactly() {
             assert!(!vtk::has_faces(file.bytes[..].into()).unwrap());
             assert!(vtk::read_mesh(&file.bytes).unwrap().triangles.is_empty());
         }
+    }
+}
+
+#[test]
+fn separate_components_of_a_velocity_in_a_vtk_are_also_a_vector() {
+    for ascii in [true, false] {
+        let mut file = VtkBuilder::new("3.0", ascii, "POLYDATA")
+            .line("POINTS 2 double")
+            .data("double", &TWO)
+            .line("POINT_DATA 2");
+        let arrays = [
+            ("velocity_z", [5.0, 6.0]),
+            ("rho", [7.0, 8.0]),
+            ("velocity_x", [1.0, 2.0]),
+            ("velocity_y", [3.0, 4.0]),
+        ];
+        for (name, values) in arrays {
+            file = file.line(&format!("SCALARS {name} float 1"));
+            file = file.line("LOOKUP_TABLE default").data("float", &values);
+        }
+        let read = VTK.particles(&file.bytes).unwrap();
+        assert_eq!(velocity_attribute(read.particles.attributes()), Some(4));
+        assert_eq!(attribute(&read, "velocity"), [1.0, 3.0, 5.0, 2.0, 4.0, 6.0]);
+        assert_eq!(attribute(&read, "velocity_x"), [1.0, 2.0]);
     }
 }
 

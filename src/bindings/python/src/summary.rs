@@ -11,8 +11,9 @@ use pyo3::prelude::*;
 /// Attributes
 /// ----------
 /// kind : str
-///     "waiting", "times_in_names", "spacing_warning", "restarted", "resumed", "measured", "started", "frame_appeared",
-///     "stage", "done", "failed", "simulation_failed", "ended", or "other" for any other event.
+///     "waiting", "times_in_names", "spacing_warning", "no_velocity", "restarted", "resumed",
+///     "measured", "started", "frame_appeared", "stage", "done", "failed", "simulation_failed",
+///     "ended", or "other" for any other event.
 /// message : str
 ///     A description of the event, as a line of text.
 /// frame : int or None
@@ -60,6 +61,7 @@ impl Event {
                 warnings.push(warning.to_string());
                 Self { kind: "spacing_warning", ..Self::default() }
             }
+            ConversionEvent::NoVelocity { .. } => Self { kind: "no_velocity", ..Self::default() },
             ConversionEvent::Restarted { .. } => Self { kind: "restarted", ..Self::default() },
             ConversionEvent::Resumed { .. } => Self { kind: "resumed", ..Self::default() },
             ConversionEvent::Measured { .. } => Self { kind: "measured", ..Self::default() },
