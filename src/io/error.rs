@@ -178,6 +178,9 @@ pub(super) fn several_steps(first: u64, last: u64) -> ReadFault {
     ReadFault::Unsupported(what)
 }
 
+/// Advice for positions that have only two coordinates.
+pub(super) const ADD_Z: &str = "for particles in a plane, add a coordinate z that is 0";
+
 /// The error for a step that does not exist.
 pub(super) fn no_step(step: u64) -> ReadFault {
     ReadFault::Unsupported(format!("the file has no step {step}"))

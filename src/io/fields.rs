@@ -2,7 +2,7 @@
 //! which each array has one entry per particle.
 
 use super::error::{no_step, several_steps};
-use super::names::{Quantity, is_preferred_position, quantities, without_unit};
+use super::names::{Quantity, is_preferred_position, position_axis, quantities, without_unit};
 use super::{ReadFault, UnreadPart, malformed};
 use crate::particles::velocity::velocity_rank;
 
@@ -317,6 +317,51 @@ pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
     })
 }
 
+/// Advice for arrays that would contain positions if there were a third coordinate. `None` for
+/// other arrays. `arranged` finds the position, such as [`arrange`].
+pub fn advice_on_plane(
+    fields: &[NamedArray],
+    arranged: impl Fn(&[NamedArray]) -> Result<Option<Arrangement>, ReadFault>,
+) -> Option<String> {
+    let mut solid = fields.to_vec();
+    for NamedArray { shape, .. } in &mut solid {
+        match shape[..] {
+            [_, .., ref mut size @ 2] | [ref mut size @ 2, _] => *size = 3,
+            _ => {}
+        }
+    }
+    let is_y = |name: &str| position_axis(name) == Some(1) && name.ends_with(['y', 'Y']);
+    for NamedArray { name, shape } in fields.iter().filter(|field| is_y(&field.name)) {
+        let z = if name.ends_with('y') { "z" } else { "Z" };
+        let name = format!("{}{z}", &name[..name.len() - 1]);
+        solid.push(NamedArray { name, shape: shape.clone() });
+    }
+    let position = arranged(&solid).ok()??.position;
+    let zeros = match position.places.iter().find(|place| place.field >= fields.len()) {
+        Some(z) => {
+            let [y, z] = [position.places[1].field, z.field].map(|field| &solid[field].name);
+            format!("save zeros as {z}: np.zeros_like({y})")
+        }
+        None => {
+            let NamedArray { name, shape } = &fields[position.places[0].field];
+            zeros_as_z(name, shape)?
+        }
+    };
+    Some(format!("for particles in a plane, {zeros}"))
+}
+
+/// Advice to add zeros as the third coordinate of an array with this name. `None` for an array
+/// without two coordinates.
+pub fn zeros_as_z(name: &str, shape: &[u64]) -> Option<String> {
+    let (zeros, padding) = match *shape {
+        [_, 2] => ("column", "((0, 0), (0, 1))"),
+        [2, _] => ("row", "((0, 1), (0, 0))"),
+        [_, _, 2] => ("column", "((0, 0), (0, 0), (0, 1))"),
+        _ => return None,
+    };
+    Some(format!("add a {zeros} of zeros: np.pad({name}, {padding})"))
+}
+
 /// The shape of an array in Python's notation.
 pub fn shown(shape: &[u64]) -> String {
     match shape {
@@ -404,6 +449,28 @@ mod tests {
         }
         let of_each_axis = fields(&[("x", &[20, 3]), ("y", &[20]), ("z", &[20])]);
         assert_eq!(arrange(&of_each_axis).unwrap().unwrap().position.name, "x");
+    }
+
+    #[test]
+    fn positions_in_a_plane_lead_to_advice_on_the_missing_zeros() {
+        let advice = |all: &[(&str, &[u64])]| advice_on_plane(&fields(all), arrange);
+        for (all, expected) in [
+            (&[("pos", &[50, 2][..]), ("m", &[50])][..], "np.pad(pos, ((0, 0), (0, 1)))"),
+            (&[("pos", &[2, 50])], "np.pad(pos, ((0, 1), (0, 0)))"),
+            (&[("x", &[5, 50, 2])], "np.pad(x, ((0, 0), (0, 0), (0, 1)))"),
+            (&[("x", &[50]), ("y", &[50]), ("vx", &[50])], "as z: np.zeros_like(y)"),
+            (&[("pos_x", &[50]), ("pos_y", &[50])], "as pos_z: np.zeros_like(pos_y)"),
+        ] {
+            assert!(advice(all).unwrap().ends_with(expected), "{all:?}");
+        }
+        for all in [
+            &[("vel", &[50, 2][..])][..],
+            &[("vx", &[50]), ("vy", &[50])],
+            &[("x", &[8]), ("y", &[9])],
+            &[("x", &[8, 9]), ("y", &[8, 9])],
+        ] {
+            assert_eq!(advice(all), None, "{all:?}");
+        }
     }
 
     #[test]

@@ -3,10 +3,11 @@
 use std::fmt;
 use std::io::BufReader;
 
-use serde::de::{DeserializeSeed, Deserializer, SeqAccess, Visitor};
+use serde::de::{DeserializeSeed, Deserializer, Error, SeqAccess, Visitor};
 
 use super::bytes::{Bytes, SequentialReader, UnpackBuffer, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
+use super::error::ADD_Z;
 use super::scan::mark_length;
 use super::{ParticleFile, ReadFault};
 
@@ -28,8 +29,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
     let text = BufReader::with_capacity(CHUNK, SequentialReader::new(view, start));
     let mut rows = UnpackBuffer::new(unpacking);
     let mut json = serde_json::Deserializer::from_reader(text);
-    let mut scratch = Ok(());
-    let positions = Positions { rows: &mut rows, scratch: &mut scratch };
+    let (mut scratch, mut width) = (Ok(()), 3);
+    let positions = Positions { rows: &mut rows, scratch: &mut scratch, width: &mut width };
     let read = positions.deserialize(&mut json).and_then(|()| json.end());
     scratch?;
     view.check()?;
@@ -37,7 +38,16 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
         if fault.is_io() {
             return ReadFault::Io(fault.into());
         }
-        let what = format!("{fault}; expected a list of positions, such as [[0, 0, 0], [1, 0, 0]]");
+        let advice = match width {
+            2 => format!("; {ADD_Z}"),
+            4.. => "; write only x, y and z, or write a .csv file with the names of all columns \
+                    in its first line"
+                .to_owned(),
+            _ => String::new(),
+        };
+        let what = format!(
+            "{fault}; expected a list of positions (x, y and z), such as [[0, 0, 0], [1, 0, 0]]{advice}"
+        );
         ReadFault::Line { line: fault.line().max(1) as u64, what }
     })?;
     let rows = rows.finish()?;
@@ -53,10 +63,12 @@ struct Positions<'a, 'u> {
     rows: &'a mut UnpackBuffer<'u>,
     /// The result of the last write to `rows`. The errors of serde cannot contain it.
     scratch: &'a mut Result<(), ReadFault>,
+    /// The count of numbers in the last complete row.
+    width: &'a mut usize,
 }
 
 impl Positions<'_, '_> {
-    fn push<E: serde::de::Error>(&mut self, chunk: &mut Vec<u8>) -> Result<(), E> {
+    fn push<E: Error>(&mut self, chunk: &mut Vec<u8>) -> Result<(), E> {
         *self.scratch = self.rows.push(chunk);
         chunk.clear();
         if self.scratch.is_ok() { Ok(()) } else { Err(E::custom("the scratch file failed")) }
@@ -80,12 +92,50 @@ impl<'de> Visitor<'de> for Positions<'_, '_> {
 
     fn visit_seq<A: SeqAccess<'de>>(mut self, mut list: A) -> Result<(), A::Error> {
         let mut chunk = Vec::new();
-        while let Some(position) = list.next_element::<[f64; 3]>()? {
+        while let Some(position) = list.next_element_seed(Row { width: self.width })? {
             chunk.extend_from_slice(position.map(f64::to_le_bytes).as_flattened());
             if chunk.len() >= CHUNK {
                 self.push(&mut chunk)?;
             }
         }
         self.push(&mut chunk)
+    }
+}
+
+/// Decodes a position, which is a list of three numbers.
+struct Row<'a> {
+    /// The count of numbers in the row, once the row is complete.
+    width: &'a mut usize,
+}
+
+impl<'de> DeserializeSeed<'de> for Row<'_> {
+    type Value = [f64; 3];
+
+    fn deserialize<D: Deserializer<'de>>(self, row: D) -> Result<[f64; 3], D::Error> {
+        row.deserialize_seq(self)
+    }
+}
+
+impl<'de> Visitor<'de> for Row<'_> {
+    type Value = [f64; 3];
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        f.write_str("a list of three numbers")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut row: A) -> Result<[f64; 3], A::Error> {
+        let (mut position, mut width) = ([0.0; 3], 0);
+        while let Some(number) = row.next_element()? {
+            if let Some(coordinate) = position.get_mut(width) {
+                *coordinate = number;
+            }
+            width += 1;
+        }
+        *self.width = width;
+        if width == 3 {
+            Ok(position)
+        } else {
+            Err(A::Error::custom(format!("a row has {width} numbers")))
+        }
     }
 }

@@ -6,8 +6,11 @@
 //! 1000.
 
 use super::bytes::{Bytes, Unpacking};
+use super::error::ADD_Z;
 use super::number::ParseNumber;
-use super::table::{Cell, Separator, Syntax, TableColumns, TextTable, excerpt, names_of};
+use super::table::{
+    Cell, Separator, Syntax, TableColumns, TextTable, excerpt, name_plane, names_of,
+};
 use super::text::{LinePlace, TextLines};
 use super::wanted::WantedAttributes;
 use super::{ParticleFile, ReadFault};
@@ -146,11 +149,15 @@ impl DumpStep {
             (columns.len() == 3).then_some((columns, *are_fractions))
         });
         let shown = names.join(" ");
+        let is_plane = name_plane(&names);
         let no_position = || {
-            let what = format!(
+            let mut what = format!(
                 "no position among the columns {shown:?}; expected x y z, xu yu zu, xs ys zs or \
                  xsu ysu zsu"
             );
+            if is_plane {
+                what += &format!("; {ADD_Z}");
+            }
             ReadFault::Line { line: self.lines_above, what }
         };
         let (columns, are_fractions) = found.ok_or_else(no_position)?;

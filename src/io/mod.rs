@@ -134,9 +134,9 @@ pub enum UnreadPart {
         column: String,
         /// Number of different times.
         count: usize,
-        /// The first time.
+        /// The earliest time.
         first: String,
-        /// The last time.
+        /// The latest time.
         last: String,
     },
     /// Earlier frames that have the same number as the frame that is read.

@@ -12,7 +12,10 @@ use crate::particles::AttributeInfo;
 use super::bytes::{ByteView, Bytes};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use super::cursor::Cursor;
-use super::fields::{Arrangement, Axes, ColumnIndex, LocatedQuantity, NamedArray, arrange, shown};
+use super::fields::{
+    Arrangement, Axes, ColumnIndex, LocatedQuantity, NamedArray, advice_on_plane, arrange, shown,
+    zeros_as_z,
+};
 use super::{ParticleFile, ReadFault, malformed};
 
 /// Name that the readers give to the positions in an array without a known name.
@@ -202,27 +205,49 @@ impl NpyHeader {
 
     /// The error if the array contains no positions, with a suggestion.
     fn no_position(&self) -> ReadFault {
-        let remedy = match self.shape[..] {
-            _ if !self.is_numeric() => return self.unsupported_elements(),
-            _ if self.is_structured() => {
-                let fields = self.fields("").into_iter().take(20);
-                let fields: Vec<_> =
-                    fields.map(|field| format!("{} {}", field.name, shown(&field.shape))).collect();
-                let fields = fields.join(", ");
-                return ReadFault::Unsupported(format!(
-                    "the structured array has no fields x, y and z, or pos; its fields: {fields}"
-                ));
-            }
-            [_, 2] => "add a column of zeros: np.pad(a, ((0, 0), (0, 1)))",
-            [_, 4..=u64::MAX] => "save the columns of x, y and z, such as a[:, :3]",
-            [_] => "reshape it, such as a.reshape(-1, 3)",
-            _ => "save an array of that shape",
-        };
+        if !self.is_numeric() {
+            return self.unsupported_elements();
+        }
+        if self.is_structured() {
+            let all = self.fields("");
+            let fields: Vec<_> = all
+                .iter()
+                .take(20)
+                .map(|field| format!("{} {}", field.name, shown(&field.shape)))
+                .collect();
+            let fields = fields.join(", ");
+            let plane = advice_on_plane(&all, arrange);
+            let plane = plane.map_or(String::new(), |advice| format!("; {advice}"));
+            return ReadFault::Unsupported(format!(
+                "the structured array has no fields x, y and z, or pos; its fields: {fields}{plane}"
+            ));
+        }
         let shape = shown(&self.shape);
+        let remedy = zeros_as_z("a", &self.shape).unwrap_or_else(|| self.remedy().to_owned());
         ReadFault::Unsupported(format!(
             "the array has shape {shape}, but must have (N, 3), (3, N) or, for frames, (T, N, 3); \
              {remedy}"
         ))
+    }
+
+    /// Advice on changing the shape of an array that is not a position.
+    fn remedy(&self) -> &'static str {
+        match self.shape[..] {
+            [rows, columns] if columns >= 4 && rows >= columns => {
+                "save the columns of x, y and z, such as a[:, :3]"
+            }
+            [rows, columns] if rows.min(columns) >= 4 => {
+                "save the rows of x, y and z, such as a[:3]"
+            }
+            [_, 3, rows] if rows >= 4 => "exchange the last two axes: a.transpose(0, 2, 1)",
+            [_, rows, columns] if columns >= 4 && rows >= columns => {
+                "save the columns of x, y and z, such as a[:, :, :3]"
+            }
+            [numbers] if numbers > 0 && numbers % 3 == 0 => {
+                "if each particle's x, y and z are next to each other, use a.reshape(-1, 3)"
+            }
+            _ => "save an array of that shape",
+        }
     }
 
     /// Number of elements.

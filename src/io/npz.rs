@@ -18,7 +18,8 @@ use super::bytes::{
 };
 use super::columns::{Column, ColumnStore, ParticleRows};
 use super::fields::{
-    Arrangement, ColumnIndex, LocatedQuantity, NamedArray, arrange, only_vector, shown,
+    Arrangement, ColumnIndex, LocatedQuantity, NamedArray, advice_on_plane, arrange, only_vector,
+    shown,
 };
 use super::npy::{NpyHeader, POSITION};
 use super::{ParticleFile, ReadFault, malformed};
@@ -51,7 +52,7 @@ pub fn read_particles(
 ) -> Result<ParticleFile, ReadFault> {
     let arrays = unless_changed(&bytes, arrays(&bytes))?;
     let contents = Contents::of(&arrays);
-    let arranged = contents.arranged()?.ok_or_else(|| no_position(&arrays, &contents))?;
+    let arranged = arranged(&contents.fields)?.ok_or_else(|| no_position(&arrays, &contents))?;
     let frame = arranged.frame(step)?;
     let Arrangement { rows, axes, position, attributes, left_out, .. } = arranged;
     for place in &position.places {
@@ -89,7 +90,7 @@ pub fn read_particles(
 /// The errors of [`read_particles`] about headers.
 pub fn steps(bytes: &Bytes) -> Result<Vec<u64>, ReadFault> {
     let arrays = unless_changed(bytes, arrays(bytes))?;
-    let arranged = Contents::of(&arrays).arranged()?;
+    let arranged = arranged(&Contents::of(&arrays).fields)?;
     Ok(arranged.map_or(Vec::new(), |arranged| arranged.steps()))
 }
 
@@ -132,16 +133,17 @@ impl Contents {
         }
         Self { fields, sources }
     }
+}
 
-    fn arranged(&self) -> Result<Option<Arrangement>, ReadFault> {
-        if let Some(arranged) = arrange(&self.fields)? {
-            return Ok(Some(arranged));
-        }
-        let Some(only) = only_vector(&self.fields) else { return Ok(None) };
-        let mut fields = self.fields.clone();
-        fields[only].name = POSITION.to_owned();
-        arrange(&fields)
+/// Finds the position by its name, or as the only vector.
+fn arranged(fields: &[NamedArray]) -> Result<Option<Arrangement>, ReadFault> {
+    if let Some(arranged) = arrange(fields)? {
+        return Ok(Some(arranged));
     }
+    let Some(only) = only_vector(fields) else { return Ok(None) };
+    let mut fields = fields.to_vec();
+    fields[only].name = POSITION.to_owned();
+    arrange(&fields)
 }
 
 /// The error if no position was found, with the contents of the archive and a suggestion.
@@ -162,6 +164,9 @@ fn no_position(arrays: &[NpzArray], contents: &Contents) -> ReadFault {
     let mut what = format!(
         "no array of positions; save one as pos, with shape (N, 3). Arrays of numbers: {numbers}"
     );
+    if let Some(advice) = advice_on_plane(&contents.fields, arranged) {
+        what += &format!("; {advice}");
+    }
     if !pickled.is_empty() {
         let is_pysph = ["particles", "solver_data"].iter().all(|n| pickled.iter().any(|p| p == n));
         what += &format!(". Pickled Python objects, which are not supported: {}", list(pickled));

@@ -7,9 +7,10 @@ use crate::particles::AttributeInfo;
 
 use super::bytes::{Bytes, PrivateBytes, UnpackBuffer, Unpacking};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
+use super::error::ADD_Z;
 use super::names::repeated_position;
 use super::number::ParseNumber;
-use super::table::{TableColumns, excerpt};
+use super::table::{TableColumns, excerpt, name_plane};
 use super::text::{LinePlace, TextLines, decode_windows};
 use super::windows::{InputBytes, Windows};
 use super::{ParticleFile, ReadFault};
@@ -121,9 +122,11 @@ pub(super) fn read(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, R
     };
     let shown = names.join(", ");
     let repeated = repeated_position(&names).map(str::to_owned);
+    let is_plane = name_plane(&names);
     let Some(columns) = TableColumns::of(names) else {
         let what = match repeated {
             Some(name) => format!("several VARIABLES are named {name:?}; rename all but one"),
+            None if is_plane => format!("no VARIABLES x, y and z among {shown:?}; {ADD_Z}"),
             None => format!("no VARIABLES x, y and z among {shown:?}"),
         };
         return Err(ReadFault::Line { line: lines_above.max(1), what });

@@ -86,7 +86,8 @@ fn in_options(error: &Error) -> Option<String> {
 
 /// Whether a particle file could not be read because its extension is unknown.
 fn has_unknown_particle_extension(fault: &ReadFault) -> bool {
-    matches!(fault, ReadFault::UnknownExtension { known } if known.split(", ").any(|known| known == ".bgeo"))
+    let ReadFault::UnknownExtension { known } = fault else { return false };
+    known.split([' ', ',']).any(|known| known == ".bgeo")
 }
 
 fn advice(error: &Error) -> String {

@@ -85,8 +85,8 @@ impl Simulation {
     /// it differs from the format that their extension implies.
     ///
     /// # Errors
-    /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
-    /// for several inputs and one output.
+    /// [`Error::Simulation`] for names that do not determine frame numbers. For several inputs and
+    /// one output, [`Error::Request`], or [`Error::Simulation`] if the inputs contain no frame.
     pub fn detect(
         inputs: &[PathBuf],
         output: &Path,
@@ -103,7 +103,7 @@ impl Simulation {
         match (several, naming) {
             (None, None) => Ok(None),
             (_, Some(_)) => Ok(Some(Self::of_files(inputs, output))),
-            (Some(inputs), None) => Err(one_output(output, &inputs)),
+            (Some(inputs), None) => Err(one_output(output, &inputs)?),
         }
     }
 
@@ -112,8 +112,8 @@ impl Simulation {
     /// inputs if it differs from the format that their extension implies.
     ///
     /// # Errors
-    /// [`Error::Simulation`] for names that do not determine frame numbers, and [`Error::Request`]
-    /// for several frames and one output.
+    /// [`Error::Simulation`] for names that do not determine frame numbers. For several frames and
+    /// one output, [`Error::Request`], or [`Error::Simulation`] if the inputs contain no frame.
     pub fn detect_together(
         inputs: &[PathBuf],
         output: &Path,
@@ -135,7 +135,7 @@ impl Simulation {
                 _ if Naming::of_several(output)?.is_some() => {
                     return Ok(Some(Self::of_files(inputs, output).together()));
                 }
-                _ => return Err(one_output(output, &several)),
+                _ => return Err(one_output(output, &several)?),
             }
         }
         Ok(None)
@@ -275,11 +275,16 @@ impl Simulation {
 }
 
 /// The error for an output that names one file for several frames.
-fn one_output(output: &Path, inputs: &Inputs) -> Error {
-    Error::Request(format!(
+///
+/// # Errors
+/// [`Error::Simulation`] if the inputs cannot be read or contain no frame, because another output
+/// would not help.
+fn one_output(output: &Path, inputs: &Inputs) -> Result<Error, Error> {
+    inputs.expect_frames()?;
+    Ok(Error::Request(format!(
         "{}: this output is one file for all frames of {}; use {{}} for the frame number, or a \
          folder (an existing one, or a name that ends in /)",
         output.display(),
         inputs.describe()
-    ))
+    )))
 }

@@ -215,6 +215,26 @@ impl Inputs {
         if frames.is_empty() { Err(self.no_frames()) } else { Ok((sequence, frames)) }
     }
 
+    /// Checks that the inputs contain a frame, and that the named files exist.
+    ///
+    /// # Errors
+    /// The errors of [`simulations`](Self::simulations) and [`Sequence::list`], the error of
+    /// [`no_frames`](Self::no_frames) if there are no frames, and [`SimulationError::Unreadable`]
+    /// for a named file that does not exist.
+    pub fn expect_frames(&self) -> Result<(), SimulationError> {
+        let mut frames = Vec::new();
+        for sequence in self.simulations(None)? {
+            frames.extend(sequence.list()?);
+        }
+        if frames.is_empty() { Err(self.no_frames()) } else { self.expect_files(&frames) }
+    }
+
+    /// Returns an error if a file of `frames` was named in the request, but does not exist.
+    fn expect_files(&self, frames: &[FrameFile]) -> Result<(), SimulationError> {
+        let Self::Files(_) = self else { return Ok(()) };
+        frames.iter().flat_map(FrameFile::paths).find_map(missing).map_or(Ok(()), Err)
+    }
+
     /// The error for inputs without frames.
     pub fn no_frames(&self) -> SimulationError {
         let folder = match self {
@@ -536,11 +556,7 @@ fn without_dot_folders(pattern: &str) -> String {
 pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
     let inputs = Inputs::of(inputs, None)?.unwrap_or_else(|| Inputs::Files(inputs.to_vec()));
     let frames = inputs.only()?.1;
-    if matches!(inputs, Inputs::Files(_))
-        && let Some(fault) = frames.iter().flat_map(FrameFile::paths).find_map(missing)
-    {
-        return Err(fault.into());
-    }
+    inputs.expect_files(&frames)?;
     Ok(frames)
 }
 

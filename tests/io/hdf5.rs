@@ -49,6 +49,20 @@ fn an_h5part_step_is_a_frame_with_its_time_and_vector_columns() {
 }
 
 #[test]
+fn hdf5_with_two_coordinates_leads_to_advice_to_add_a_third() {
+    // Renames the data set z.
+    let mut bytes = fs::read(data("steps.h5part")).unwrap();
+    let places: Vec<_> =
+        (0..bytes.len()).filter(|&at| bytes[at..].starts_with(b"\0z\0\0\0\0\0\0\0")).collect();
+    places.into_iter().for_each(|at| bytes[at + 1] = b'~');
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("plane.h5part"), bytes).unwrap();
+    let error = open_particles(&folder.path().join("plane.h5part#0"), Unpacking::in_memory());
+    let error = error.unwrap_err().to_string();
+    assert!(error.contains("save zeros as z: np.zeros_like(y)"), "{error}");
+}
+
+#[test]
 fn root_data_sets_are_a_frame_even_if_chunked_and_compressed() {
     let packed = open("packed.h5").unwrap();
     assert_eq!((packed.particles.len(), packed.time), (60, Some(1.5)));

@@ -548,6 +548,44 @@ fn npz_positions_are_found_by_name_or_as_the_only_candidate() {
 }
 
 #[test]
+fn numpy_arrays_of_another_shape_lead_to_advice_that_keeps_all_particles() {
+    let array = |sizes: &[usize]| {
+        let shape: String = sizes.iter().map(|size| format!("{size},")).collect();
+        let bytes = 8 * sizes.iter().product::<usize>();
+        [build::npy_header("<f8", false, &format!("({shape})")), vec![0; bytes]].concat()
+    };
+    for (sizes, advice) in [
+        (&[50, 2][..], "np.pad(a, ((0, 0), (0, 1)))"),
+        (&[2, 50], "np.pad(a, ((0, 1), (0, 0)))"),
+        (&[5, 50, 2], "np.pad(a, ((0, 0), (0, 0), (0, 1)))"),
+        (&[50, 6], "a[:, :3]"),
+        (&[6, 50], "a[:3]"),
+        (&[5, 50, 6], "a[:, :, :3]"),
+        (&[5, 3, 50], "a.transpose(0, 2, 1)"),
+        (&[150], "a.reshape(-1, 3)"),
+        (&[151], "an array of that shape"),
+        (&[1, 50], "an array of that shape"),
+        (&[50, 1], "an array of that shape"),
+    ] {
+        let fault = fault(read(NPY, &array(sizes)));
+        assert!(fault.ends_with(advice), "{sizes:?}: {fault}");
+    }
+    let archive = |arrays: &[(&str, &[usize])]| {
+        let arrays: Vec<_> = arrays.iter().map(|(name, sizes)| (*name, array(sizes))).collect();
+        fault(read(NPZ, &build::npz(&arrays, CompressionMethod::Stored)))
+    };
+    for (arrays, advice) in [
+        (&[("pos", &[50, 2][..]), ("m", &[50])][..], "np.pad(pos, ((0, 0), (0, 1)))"),
+        (&[("arr_0", &[2, 50])], "np.pad(arr_0, ((0, 1), (0, 0)))"),
+        (&[("x", &[50]), ("y", &[50])], "np.zeros_like(y)"),
+    ] {
+        let fault = archive(arrays);
+        assert!(fault.ends_with(advice), "{fault}");
+    }
+    assert!(!archive(&[("vel", &[50, 2])]).contains("zeros"));
+}
+
+#[test]
 fn velocities_are_recognised_by_names_like_those_of_positions() {
     let points = tuples(4);
     let vectors = || build::npy(&points, "<f4", false);
@@ -1344,6 +1382,11 @@ fn only_a_json_list_of_positions_is_read() {
     ] {
         let fault = json(wrong).expect_err(wrong);
         assert!(matches!(fault, ReadFault::Line { line, .. } if line == at), "{wrong:?}: {fault}");
+    }
+    for (width, remedy) in [(2, "z that is 0"), (4, ".csv"), (6, ".csv")] {
+        let row = vec!["1"; width].join(",");
+        let fault = json(&format!("[[{row}],[{row}]]")).unwrap_err().to_string();
+        assert!(fault.contains(&format!("{width} numbers")) && fault.contains(remedy), "{fault}");
     }
     assert!(json(&"[".repeat(100_000)).is_err());
 }

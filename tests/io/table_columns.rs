@@ -442,14 +442,19 @@ fn a_table_that_a_column_of_times_divides_into_frames_gives_a_warning() {
     let long = table(60_000, |i| format!("{} {}", i / 20_000, place(i)));
     let file = text(&format!("time x y z\n{long}")).unwrap();
     assert_eq!(file.left_out, times("time", 3, "0", "2"));
+    for name in ["Time [s]", "TimeStamp", "time_s", "t[s]", "Snapshot", "frame_number"] {
+        let rows = rows.replace(' ', ",");
+        let file = text(&format!("{name},x,y,z\n{rows}")).expect(name);
+        assert!(matches!(file.left_out[..], [UnreadPart::Times { count: 4, .. }]), "{name}");
+    }
     for (name, rows) in [
         ("age", rows.clone()),
         ("T", rows.clone()),
         ("time", frames(|_| "1".to_owned())),
-        ("time", frames(|frame| format!("{}", 4 - frame))),
-        ("time", table(40, |i| format!("{i} {}", place(i)))),
-        ("time", table(40, |i| format!("{} {}", i % 2, place(i)))),
-        ("time", table(40, |i| format!("{} {}", i / 30, place(i)))),
+        ("t", table(40, |i| format!("{i} {}", place(i)))),
+        ("time", table(40, |i| format!("{} {}", i / 3, place(i)))),
+        ("time", table(40, |i| format!("{} {}", i.saturating_sub(20), place(i)))),
+        ("t", table(70_000, |i| format!("{} {}", i as f64 / 7.0, place(i)))),
     ] {
         let file = text(&format!("{name} x y z\n{rows}")).expect(name);
         assert_eq!(file.left_out, [], "{name}\n{rows}");
@@ -462,6 +467,30 @@ fn a_table_that_a_column_of_times_divides_into_frames_gives_a_warning() {
     let read =
         text_format::read_particles(bytes, hint, (None, None), wanted, Unpacking::in_memory());
     assert_eq!(read.unwrap().left_out, []);
+}
+
+#[test]
+fn frames_whose_rows_are_interleaved_or_unequal_give_a_warning() {
+    let found = |names: &str, rows: &str| text(&format!("{names}\n{rows}")).unwrap().left_out;
+    let times = |column: &str, count, last: &str| {
+        let (column, first, last) = (column.to_owned(), "0".to_owned(), last.to_owned());
+        vec![UnreadPart::Times { column, count, first, last }]
+    };
+    // The path of each particle: its rows have all times.
+    let paths = table(40, |i| format!("{} {} {}", i / 4, 0.25 * (i % 4) as f64, place(i)));
+    assert_eq!(found("id t x y z", &paths), times("t", 4, "0.75"));
+    let long = table(60_000, |i| format!("{} {}", i % 3, place(i)));
+    assert_eq!(found("Frame x y z", &long), times("Frame", 3, "2"));
+    let descending = table(40, |i| format!("{} {}", 3 - i / 10, place(i)));
+    assert_eq!(found("time x y z", &descending), times("time", 4, "3"));
+    let growing = table(40, |i| format!("{} {}", i / 30, place(i)));
+    assert_eq!(found("time x y z", &growing), times("time", 2, "1"));
+    // Only one of the columns of times has several times.
+    let constant = table(40, |i| format!("7 {} {}", i % 2, place(i)));
+    assert_eq!(found("step time x y z", &constant), times("time", 2, "1"));
+    // Spreadsheets write empty rows at the end.
+    let sheet = table(40, |i| format!("{} {}", i % 2, place(i))).replace(' ', ",") + ",,,\n,,,\n";
+    assert_eq!(found("time,x,y,z", &sheet), times("time", 2, "1"));
 }
 
 #[test]
@@ -676,4 +705,16 @@ fn the_points_of_paraview_are_preferred_to_columns_x_y_and_z() {
     // Columns with a common stem that may mean a pressure are not preferred to columns x, y and z.
     let file = text("p_xx,p_xy,p_xz,x,y,z\n1,2,3,1.5,2.5,3.5\n4,5,6,4.5,5.5,6.5\n").unwrap();
     assert_eq!((positions(&file), attributes(&file)), (POSITIONS.to_vec(), vec![("p_x", 3)]));
+}
+
+#[test]
+fn tables_with_two_coordinates_lead_to_advice_to_add_a_third() {
+    for table in ["x,y\n1,2\n", "id,x,y\n1,2,3\n", "x [m];y [m];m\n1;2;3\n", "1 2\n3 4\n"] {
+        let (_, what) = refusal(table);
+        assert!(what.contains("z that is 0"), "{what}");
+    }
+    for table in ["a,b\n1,2\n", "1\n2\n", "r,z,m\n1,2,3\n"] {
+        let (_, what) = refusal(table);
+        assert!(!what.contains("z that is 0"), "{what}");
+    }
 }

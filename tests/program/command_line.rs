@@ -1459,6 +1459,22 @@ fn a_given_format_overrides_the_file_extension() {
 }
 
 #[test]
+fn an_unknown_extension_leads_to_advice_on_the_format_in_every_command() {
+    let folder = folder_with_ball();
+    fs::rename(folder.path().join("ball.xyz"), folder.path().join("ball.unknown")).unwrap();
+    for arguments in [
+        &["info", "ball.unknown"][..],
+        &["reconstruct", "ball.unknown", "-o", "m.ply"],
+        &["pack", "ball.unknown", "-o", "m.mnf"],
+    ] {
+        let output = meniscus(folder.path(), arguments);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}: {errors}");
+        assert!(errors.contains("ball.unknown") && errors.contains("--format"), "{errors}");
+    }
+}
+
+#[test]
 fn frames_inside_a_file_are_found_with_a_given_format() {
     let folder = tempfile::tempdir().unwrap();
     let path = |name: &str| folder.path().join(name);

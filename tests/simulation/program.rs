@@ -279,6 +279,7 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
     let before = tree(folder.path());
     for (arguments, code, message) in [
         (vec!["in/f_{}.xyz", "-o", "one.ply"], 2, "{}"),
+        (vec!["in/f_1.xyz", "in/f_2.xyz", "-o", "one.ply"], 2, "{}"),
         (
             vec!["in", "-o", "out_{}.ply"],
             2,
@@ -312,6 +313,13 @@ fn invalid_sequence_requests_are_refused_and_leave_no_files() {
         (vec!["in/f_1.xyz", "-o", "out.ply", "--resume"], 2, "--resume"),
         (vec!["none", "-o", "out_{}.ply"], 3, "no frames"),
         (vec!["in/h_{}.xyz", "-o", "out_{}.ply"], 3, "no file matches"),
+        (vec!["none", "-o", "one.ply"], 3, "no frames"),
+        (vec!["in/h_*.xyz", "-o", "one.ply"], 3, "no frames"),
+        (vec!["in/h_{}.xyz", "-o", "one.ply"], 3, "no file matches"),
+        (vec!["missing/*.xyz", "-o", "one.ply"], 3, "no frames"),
+        (vec!["missing/f_{}.xyz", "-o", "one.ply"], 3, "missing: the folder does not exist"),
+        (vec!["missing/f_{}.xyz", "--together", "-o", "one.ply"], 3, "folder does not exist"),
+        (vec!["in/f_1.xyz", "in/f_9.xyz", "-o", "one.ply"], 3, "in/f_9.xyz: "),
     ] {
         let errors = run(folder.path(), &arguments, code);
         assert!(errors.contains(message), "{arguments:?}: {errors}");

@@ -55,8 +55,8 @@ pub struct Spacings {
     /// For particles that clearly have two resolutions: the spacing of the majority, and the
     /// spacing of the other particles.
     pub two: Option<[f64; 2]>,
-    /// The share of the particles that are deep in evenly filled fluid: in counting cells whose 26
-    /// neighbours have similar counts.
+    /// The share of the particles that are deep in evenly filled fluid: in cells whose 26
+    /// neighbours hold similar numbers of particles.
     pub even: f64,
 }
 
@@ -94,10 +94,12 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
             DVec3::new(i * 0.819_172_513, i * 0.671_043_606, i * 0.549_700_478).fract()
         });
         let mut inside = at_corner.interior();
+        let even =
+            inside.iter().filter(|cell| cell.is_even()).map(|cell| cell.count).sum::<usize>();
         for shift in shifts.skip(1) {
             inside.extend(counts(lo - shift * cell, cell)?.interior());
         }
-        let (total, cells) = (inside.iter().sum::<usize>(), inside.len());
+        let (total, cells) = (total(&inside), inside.len());
         let enough = cells >= ENOUGH_CELLS * placements as usize
             && total as f64 >= enough_share * f64::from(placements) * finite as f64;
         enough.then(|| {
@@ -107,7 +109,7 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
             Spacings {
                 mean: cell * libm::cbrt(cells as f64 / total as f64),
                 two: two_of(inside, cell).or_else(wider),
-                even: at_corner.even().iter().sum::<usize>() as f64 / finite as f64,
+                even: even as f64 / finite as f64,
             }
         })
     })
@@ -121,44 +123,78 @@ const REGION: f64 = 0.05;
 const ENOUGH_IN_CELL: usize = 4;
 /// More than this share of the cells of a separate resolution must have similar counts.
 const EVEN: f64 = 0.8;
+/// At least this share of the cells of a coarser resolution must have no neighbour with the counts
+/// of the majority. Otherwise, these cells may hold a wall that a narrow gap separates from fluid.
+const DEEP: f64 = 0.25;
 
-/// The spacings of two resolutions, from the counts of interior cells of edge `cell`. There must be
+/// A cell whose 26 neighbours also hold particles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct InteriorCell {
+    /// The number of particles in the cell.
+    count: usize,
+    /// The smallest number of particles in the cell or one of its neighbours.
+    sparsest: usize,
+    /// The greatest number of particles in the cell or one of its neighbours.
+    densest: usize,
+}
+
+impl InteriorCell {
+    /// Whether each neighbour holds between 0.45 and 2.2 times as many particles. The limits are
+    /// wide because the planes of a lattice fill some cells with twice as many particles as others.
+    fn is_even(&self) -> bool {
+        20 * self.sparsest >= 9 * self.count && 9 * self.densest <= 20 * self.count
+    }
+}
+
+/// The number of particles in these cells.
+fn total(cells: &[InteriorCell]) -> usize {
+    cells.iter().map(|cell| cell.count).sum()
+}
+
+/// The spacings of two resolutions, from the counts of interior cells of edge `edge`. There must be
 /// two groups of cells with different counts, and fewer cells with counts in between, because a
 /// fluid that thins out into spray has cells of every count.
-fn two_of(mut counts: Vec<usize>, cell: f64) -> Option<[f64; 2]> {
-    counts.sort_unstable();
-    let total: usize = counts.iter().sum();
+fn two_of(mut inside: Vec<InteriorCell>, edge: f64) -> Option<[f64; 2]> {
+    inside.sort_unstable();
+    let all = total(&inside);
     let mut below = 0;
     // The median, over all particles, of the count in the particle's cell.
-    let typical = *counts.iter().find(|&&count| {
-        below += count;
-        2 * below >= total
+    let typical = inside.iter().find(|cell| {
+        below += cell.count;
+        2 * below >= all
     })?;
-    // `between` returns the counts from `from` to `to` times `typical`.
+    let typical = typical.count as f64;
+    // `between` returns the cells whose counts are from `from` to `to` times `typical`.
     let between = |from: f64, to: f64| {
         let [from, to] = [from, to]
-            .map(|bound| counts.partition_point(|&count| (count as f64) < bound * typical as f64));
-        &counts[from..to]
+            .map(|bound| inside.partition_point(|cell| (cell.count as f64) < bound * typical));
+        &inside[from..to]
     };
-    let cells = |part: &[usize]| part.len() as f64;
-    let particles = |part: &[usize]| part.iter().sum::<usize>() as f64;
-    let is_even = |part: &[usize]| {
-        let median = part[part.len() / 2];
-        let near = part.iter().filter(|&&count| count <= 2 * median && median <= 2 * count);
+    let cells = |part: &[InteriorCell]| part.len() as f64;
+    let particles = |part: &[InteriorCell]| total(part) as f64;
+    let is_even = |part: &[InteriorCell]| {
+        let median = part[part.len() / 2].count;
+        let near = part.iter().filter(|cell| cell.count <= 2 * median && median <= 2 * cell.count);
         median >= ENOUGH_IN_CELL && near.count() as f64 > EVEN * cells(part)
+    };
+    let is_deep = |part: &[InteriorCell]| {
+        let deep = part.iter().filter(|cell| (cell.densest as f64) < 0.5 * typical);
+        deep.count() as f64 >= DEEP * cells(part)
     };
     let (thin, thinner) = (between(0.25, 0.5), between(0.0, 0.25));
     let (dense, denser) = (between(2.0, 4.0), between(4.0, f64::INFINITY));
-    let other = if cells(thinner) >= REGION * cells(&counts) && cells(thinner) > 2.0 * cells(thin) {
+    let other = if cells(thinner) >= REGION * cells(&inside)
+        && cells(thinner) > 2.0 * cells(thin)
+        && is_deep(thinner)
+    {
         thinner
-    } else if particles(denser) >= REGION * total as f64
-        && particles(denser) > 2.0 * particles(dense)
+    } else if particles(denser) >= REGION * all as f64 && particles(denser) > 2.0 * particles(dense)
     {
         denser
     } else {
         return None;
     };
-    let spacing = |part: &[usize]| cell * libm::cbrt(cells(part) / particles(part));
+    let spacing = |part: &[InteriorCell]| edge * libm::cbrt(cells(part) / particles(part));
     is_even(other).then(|| [spacing(between(0.5, 2.0)), spacing(other)])
 }
 
@@ -246,47 +282,49 @@ impl CellCounts {
         }
     }
 
-    /// The counts of cells whose 26 neighbours also hold particles.
-    fn interior(&self) -> Vec<usize> {
-        self.where_neighbours(|_, neighbour| neighbour > 0)
-    }
-
-    /// The counts of cells whose 26 neighbours have between 0.45 and 2.2 times as many particles.
-    /// The limits are wide because the planes of a lattice fill some cells with twice as many
-    /// particles as others.
-    fn even(&self) -> Vec<usize> {
-        let is_less = |a: usize, b: usize| 20 * a < 9 * b;
-        self.where_neighbours(|own, neighbour| !is_less(own, neighbour) && !is_less(neighbour, own))
-    }
-
-    /// The counts of non-empty cells for which `fits(own count, neighbour's count)` is true for all
-    /// 26 neighbours.
-    fn where_neighbours(&self, fits: impl Fn(usize, usize) -> bool) -> Vec<usize> {
+    /// The cells whose 26 neighbours also hold particles.
+    fn interior(&self) -> Vec<InteriorCell> {
         match self {
             Self::Listed { size: [x, y, _], counts } => {
-                let all_fit = |index: usize| {
-                    [0, x * y, 2 * x * y].iter().all(|layer| {
-                        [0, *x, 2 * x].iter().all(|row| {
+                // The smallest and the greatest count around a cell. `None` if a neighbour is empty.
+                let around = |index: usize| {
+                    let (mut sparsest, mut densest) = (u32::MAX, 0);
+                    for layer in [0, x * y, 2 * x * y] {
+                        for row in [0, *x, 2 * x] {
                             let first = index + layer + row - x * y - x - 1;
-                            let own = counts[index] as usize;
-                            counts[first..first + 3].iter().all(|&count| fits(own, count as usize))
-                        })
-                    })
+                            for &count in &counts[first..first + 3] {
+                                sparsest = sparsest.min(count);
+                                densest = densest.max(count);
+                            }
+                            if sparsest == 0 {
+                                return None;
+                            }
+                        }
+                    }
+                    Some((sparsest as usize, densest as usize))
                 };
                 // The outermost layer of cells is empty.
                 let inner = x * y + x + 1..counts.len().saturating_sub(x * y + x + 1);
-                let inner = inner.filter(|&index| counts[index] > 0 && all_fit(index));
-                inner.map(|index| counts[index] as usize).collect()
+                let inner = inner.filter(|&index| counts[index] > 0);
+                let interior = inner.filter_map(|index| {
+                    let (sparsest, densest) = around(index)?;
+                    Some(InteriorCell { count: counts[index] as usize, sparsest, densest })
+                });
+                interior.collect()
             }
             Self::Hashed(counts) => {
-                let all_fit = |cell: IVec3, own: usize| {
-                    (0..27).all(|i| {
+                let around = |cell: IVec3| {
+                    (0..27).try_fold((usize::MAX, 0), |(sparsest, densest), i| {
                         let neighbour = cell + IVec3::new(i % 3, i / 3 % 3, i / 9) - 1;
-                        fits(own, counts.get(&neighbour).copied().unwrap_or(0))
+                        let &count = counts.get(&neighbour)?;
+                        Some((count.min(sparsest), count.max(densest)))
                     })
                 };
-                let fitting = counts.iter().filter(|&(&cell, &own)| all_fit(cell, own));
-                fitting.map(|(_, &count)| count).collect()
+                let interior = counts.iter().filter_map(|(&cell, &count)| {
+                    let (sparsest, densest) = around(cell)?;
+                    Some(InteriorCell { count, sparsest, densest })
+                });
+                interior.collect()
             }
         }
     }
@@ -328,6 +366,39 @@ mod tests {
         (0..side.pow(3)).map(|i| place(i).map(|c| 1.037 * f64::from(c) - 3.3)).collect()
     }
 
+    fn sorted<T: Ord>(mut items: Vec<T>) -> Vec<T> {
+        items.sort_unstable();
+        items
+    }
+
+    /// The two spacings of the points of a lattice with spacing 1 that `keep` accepts.
+    fn two_in_lattice(size: [i32; 3], keep: impl Fn(IVec3) -> bool) -> Option<[f64; 2]> {
+        let [x, y, z] = size;
+        let points = (0..x * y * z).map(|i| IVec3::new(i % x, i / x % y, i / (x * y)));
+        let points: Vec<[f64; 3]> =
+            points.filter(|p| keep(*p)).map(|p| p.as_dvec3().to_array()).collect();
+        spacings(&points, &bounds(&points).unwrap(), 0.0).unwrap().two
+    }
+
+    #[test]
+    fn walls_near_fluid_are_not_a_coarser_resolution_but_deep_fluid_is() {
+        // The walls and the floor have three layers. The fluid fills a part of the tank.
+        let tank = |[x, y, z]: [i32; 3], fluid: IVec3| {
+            two_in_lattice([x + 6, y + 3, z + 6], |p| {
+                let p = p - 3;
+                let is_wall = p.min_element() < 0 || p.x >= x || p.z >= z;
+                is_wall || p.cmplt(fluid).all()
+            })
+        };
+        for fluid in [[15, 20, 30], [20, 15, 30], [21, 15, 30], [22, 15, 30], [30, 15, 30]] {
+            assert_eq!(tank([30, 30, 30], fluid.into()), None, "{fluid:?}");
+        }
+        // Every third point along each axis of the right half.
+        let two = two_in_lattice([120, 48, 48], |p| p.x < 60 || p % 3 == IVec3::ZERO);
+        let [fine, coarse] = two.unwrap();
+        assert!((fine - 1.0).abs() < 0.1 && (coarse - 3.0).abs() < 0.3, "{fine} and {coarse}");
+    }
+
     #[test]
     fn listed_and_hashed_cells_have_equal_counts() {
         let particles = lattice(23);
@@ -341,13 +412,8 @@ mod tests {
                 matches!(listed, CellCounts::Listed { .. })
                     && matches!(hashed, CellCounts::Hashed(_))
             );
-            let sorted = |mut counts: Vec<usize>| {
-                counts.sort_unstable();
-                counts
-            };
             assert_eq!(sorted(listed.filled()), sorted(hashed.filled()));
             assert_eq!(sorted(listed.interior()), sorted(hashed.interior()));
-            assert_eq!(sorted(listed.even()), sorted(hashed.even()));
             let twice = [listed.twice_as_wide(), hashed.twice_as_wide()]
                 .map(|twice| sorted(twice.interior()));
             assert_eq!(twice[0], twice[1]);

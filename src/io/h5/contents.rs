@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use hdf5_reader::Datatype;
 use hdf5_reader::group::Group;
+use hdf5_reader::{Dataset, Datatype};
 
 use crate::io::ReadFault;
-use crate::io::fields::shown;
+use crate::io::fields::{NamedArray, advice_on_plane, arrange, shown};
 
 use super::file::convert_error;
 use super::groups::last_name;
@@ -20,6 +20,8 @@ pub const DEEPEST: usize = 8;
 const LINES: usize = 20;
 /// Maximum number of members of a compound type that the summary lists.
 const MEMBERS: usize = 12;
+/// Maximum number of arrays of a group that are searched for positions in a plane.
+const MOST_ARRAYS: usize = 100;
 /// Prefix of the names of compound members in which pandas stores several columns each. The names
 /// of these columns are stored only in Python's pickle format, which this reader does not support.
 const PANDAS: &str = "values_block_";
@@ -31,13 +33,16 @@ const LETTERS: usize = 100;
 /// # Errors
 /// If the contents cannot be read.
 pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
-    let (lines, more) = lines(root)?;
+    let Summary { lines, more, on_plane } = Summary::of(root)?;
     let mut what = "no positions found. Store float32 or float64 in a data set called position, \
                     pos or x, of shape (N, 3), (3, N) or (frames, N, 3), or in three data sets \
                     called x, y and z, of shape (N,)."
         .to_owned();
     if lines.iter().any(|line| line.contains(PANDAS)) {
         what += " Write a pandas table with data_columns=True, so that its columns have names.";
+    }
+    if let Some(advice) = on_plane {
+        what += &format!(" {}{}.", advice[..1].to_uppercase(), &advice[1..]);
     }
     what += " The file contains";
     match lines.is_empty() {
@@ -50,42 +55,70 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
     Ok(ReadFault::Unsupported(what))
 }
 
-/// Lines that describe the first data sets and empty groups below `root`, one each, and the number
-/// of further data sets and empty groups.
-fn lines(root: &Group) -> Result<(Vec<String>, usize), ReadFault> {
-    let (mut lines, mut more) = (Vec::new(), 0);
-    let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {
-        true => lines.push(line()),
-        false => more += 1,
-    };
-    let mut seen = BTreeSet::new();
-    let mut ahead = vec![(String::new(), root.clone(), 0)];
-    while let Some((path, group, depth)) = ahead.pop() {
-        if !seen.insert(group.address()) || seen.len() > MOST_GROUPS {
-            continue;
+/// The contents of a file.
+struct Summary {
+    /// Lines that describe the first data sets and empty groups, one each.
+    lines: Vec<String>,
+    /// The number of further data sets and empty groups.
+    more: usize,
+    /// Advice for the first group whose positions have only two coordinates.
+    on_plane: Option<String>,
+}
+
+impl Summary {
+    fn of(root: &Group) -> Result<Self, ReadFault> {
+        let (mut lines, mut more, mut on_plane) = (Vec::new(), 0, None);
+        let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {
+            true => lines.push(line()),
+            false => more += 1,
+        };
+        let mut seen = BTreeSet::new();
+        let mut ahead = vec![(String::new(), root.clone(), 0)];
+        while let Some((path, group, depth)) = ahead.pop() {
+            if !seen.insert(group.address()) || seen.len() > MOST_GROUPS {
+                continue;
+            }
+            let (mut groups, mut sets) = convert_error(group.members())?;
+            groups.sort_by(|a, b| a.name().cmp(b.name()));
+            sets.sort_by(|a, b| a.name().cmp(b.name()));
+            on_plane = on_plane.or_else(|| advice_on_plane(&arrays(&sets), arrange));
+            if depth > 0 && sets.is_empty() && groups.is_empty() {
+                push(&|| format!("{} (an empty group)", short(&path)));
+            }
+            for set in &sets {
+                push(&|| {
+                    let path = format!("{path}/{}", last_name(set.name()));
+                    format!("{} {} {}", short(&path), shown(set.shape()), kind(set.dtype()))
+                });
+            }
+            if depth < DEEPEST {
+                ahead.extend(groups.into_iter().rev().map(|group| {
+                    (format!("{path}/{}", last_name(group.name())), group, depth + 1)
+                }));
+            }
         }
-        let (mut groups, mut sets) = convert_error(group.members())?;
-        groups.sort_by(|a, b| a.name().cmp(b.name()));
-        sets.sort_by(|a, b| a.name().cmp(b.name()));
-        if depth > 0 && sets.is_empty() && groups.is_empty() {
-            push(&|| format!("{} (an empty group)", short(&path)));
-        }
-        for set in &sets {
-            push(&|| {
-                let path = format!("{path}/{}", last_name(set.name()));
-                format!("{} {} {}", short(&path), shown(set.shape()), kind(set.dtype()))
-            });
-        }
-        if depth < DEEPEST {
-            ahead.extend(
-                groups
-                    .into_iter()
-                    .rev()
-                    .map(|group| (format!("{path}/{}", last_name(group.name())), group, depth + 1)),
-            );
+        Ok(Self { lines, more, on_plane })
+    }
+}
+
+/// The first arrays of numbers in these data sets. Columns of tables are arrays.
+fn arrays(sets: &[Dataset]) -> Vec<NamedArray> {
+    let mut arrays = Vec::new();
+    for set in sets.iter().take(MOST_ARRAYS) {
+        let mut push = |name: &str, kind: &Datatype| {
+            let shape = set.shape().to_vec();
+            let name = short(last_name(name));
+            arrays.extend(scalar(kind).map(|_| NamedArray { name, shape }));
+        };
+        match set.dtype() {
+            Datatype::Compound { fields, .. } => {
+                fields.iter().for_each(|field| push(&field.name, &field.datatype));
+            }
+            kind => push(set.name(), kind),
         }
     }
-    Ok((lines, more))
+    arrays.truncate(MOST_ARRAYS);
+    arrays
 }
 
 /// Shortens a name to at most [`LETTERS`] characters, and escapes control characters.

@@ -11,7 +11,7 @@ use hdf5_reader::group::Group;
 use crate::io::bytes::UnpackBuffer;
 use crate::io::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use crate::io::encode::in_order;
-use crate::io::error::several_steps;
+use crate::io::error::{ADD_Z, several_steps};
 use crate::io::vertices::columns;
 use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -170,11 +170,7 @@ fn particles(
 ) -> Result<ParticleFile, ReadFault> {
     let position = record(species, "position")?.filter(|position| position.len() == 3);
     let position = position.ok_or_else(|| {
-        ReadFault::Unsupported(
-            "the file has no positions with three components; only three-dimensional particles \
-             are supported"
-                .to_owned(),
-        )
+        ReadFault::Unsupported(format!("the file has no positions with three components; {ADD_Z}"))
     })?;
     let rows = position[0].rows();
     let offset = record(species, "positionOffset")?.filter(|offset| offset.len() == 3);

@@ -11,6 +11,7 @@ use hdf5_reader::group::Group;
 use rayon::prelude::*;
 
 use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
+use crate::io::error::ADD_Z;
 use crate::io::frame_files::snapshot_piece;
 use crate::io::wanted::{WantedParticles, WantedPieces};
 use crate::io::{ParticleFile, Pieces, ReadError, ReadFault, malformed};
@@ -201,7 +202,8 @@ fn read_piece(
     }
     let group = file.group(kind)?;
     let arrays = H5Array::by_name(&group)?;
-    let missing = || malformed(0, format!("{kind} has no {POSITION} with three components"));
+    let missing =
+        || malformed(0, format!("{kind} has no {POSITION} with three components; {ADD_Z}"));
     let table = H5Table::of_arrays(arrays, POSITION).ok_or_else(missing)?;
     if table.rows() != announced {
         let what = format!(

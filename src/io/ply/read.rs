@@ -5,6 +5,7 @@ use std::ops::{ControlFlow, Range};
 use crate::io::bytes::{ByteView, Bytes, PrivateBytes, Slice, UnpackBuffer, Unpacking};
 use crate::io::cell_types::CellCounts;
 use crate::io::columns::{Column, Endian, Scalar};
+use crate::io::error::ADD_Z;
 use crate::io::scan::{Lines, Scanner};
 use crate::io::text::decode_pieces;
 use crate::io::vertices::{FileVertices, Triangles, columns, integer};
@@ -180,7 +181,9 @@ pub(super) fn vertices(
     let plain = element.without_lists();
     let axis = |name| {
         let index = plain.property(name);
-        index.ok_or_else(|| malformed(header.body, format!("vertices have no property `{name}`")))
+        let advice = if name == "z" { format!("; {ADD_Z}") } else { String::new() };
+        let what = || format!("vertices have no property `{name}`{advice}");
+        index.ok_or_else(|| malformed(header.body, what()))
     };
     let position = [axis("x")?, axis("y")?, axis("z")?];
     let at = start(bytes, header, element)?;

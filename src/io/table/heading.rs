@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use crate::io::ReadFault;
 use crate::io::bytes::ByteView;
+use crate::io::error::ADD_Z;
 use crate::io::names::{Quantity, bare_names, quantities, repeated_position};
 use crate::io::number::{Decimal, is_overflow};
 
@@ -262,7 +263,8 @@ impl<'a> LinesAbove<'a> {
         }
         let fault = |what| ReadFault::Line { line: first.line, what };
         let Some(unnamed) = found else {
-            return Err(fault(format!("expected x, y and z, but the line has {fields} fields")));
+            let what = format!("expected x, y and z, but the line has {fields} fields");
+            return Err(fault(if fields == 2 { format!("{what}; {ADD_Z}") } else { what }));
         };
         if fields > MOST_FIELDS {
             return Err(fault(format!("the line has more than {MOST_FIELDS} fields")));
@@ -390,10 +392,13 @@ impl TitleLine {
         }
         let shown: Vec<_> =
             self.names.iter().take(8).map(|name| excerpt(name.as_bytes())).collect();
-        let what = format!(
+        let mut what = format!(
             "expected three numbers, or the names of columns x, y and z, found {}",
             shown.join(", ")
         );
+        if name_plane(&self.names) {
+            what += &format!("; {ADD_Z}");
+        }
         ReadFault::Line { line: self.line, what }
     }
 }

@@ -39,7 +39,7 @@ use labels::{Known, Texts};
 use times::Times;
 
 pub(super) use fields::{Separator, Syntax};
-pub(super) use header::{columns_in_comment, names_of};
+pub(super) use header::{columns_in_comment, name_plane, names_of};
 pub(super) use heading::{HEAD, TableColumns, unnamed_columns};
 pub(super) use unnamed::is_row;
 
@@ -119,8 +119,8 @@ struct DecodedPiece {
     lines: u64,
     /// The number of rows without values at the end of the piece.
     empty: usize,
-    /// The numbers in the column of times.
-    times: Times,
+    /// The numbers in each column of times.
+    times: Vec<Times>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -179,11 +179,14 @@ impl TextTable {
         let text: Vec<AtomicBool> = (0..width).map(|_| AtomicBool::new(false)).collect();
         let source = InputBytes::from(bytes);
         let labels: Vec<_> = texts.iter().map(|_| Texts::default()).collect();
-        let may_have_frames = |a: &&Quantity| Times::are_in(a) && !wanted.test(&a.name);
-        let time = attributes.iter().find(may_have_frames).filter(|_| table.count.is_none());
-        let time_column = time.map(|time| time.columns[0]);
-        let (rows, empty, times) =
-            table.decode(&source, (&slots, time_column), (&text, &labels), unpacking)?;
+        let mut times: Vec<_> = attributes.iter().filter(|a| Times::are_in(a)).collect();
+        // A table with a known number of rows is one frame. A condition on a time selects frames.
+        if table.count.is_some() || times.iter().any(|time| wanted.test(&time.name)) {
+            times.clear();
+        }
+        let time_columns: Vec<_> = times.iter().map(|time| time.columns[0]).collect();
+        let (rows, empty, found_times) =
+            table.decode(&source, (&slots, &time_columns), (&text, &labels), unpacking)?;
         let stride = width * WIDTH;
         let count = rows.len() / stride - empty;
         if let Some(expected) = table.count.filter(|expected| *expected != count as u64) {
@@ -214,23 +217,25 @@ impl TextTable {
         let store = store.with_labels(labels);
         let unread = infos.into_iter().zip(is_read).filter(|(_, read)| !read);
         let unread = unread.map(|(info, _)| info).collect();
-        let left_out = time.and_then(|time| times.frames(&time.name)).into_iter().collect();
+        let mut times = times.iter().zip(found_times);
+        let left_out = times.find_map(|(time, found)| found.frames(&time.name));
+        let left_out = left_out.into_iter().collect();
         Ok(ParticleFile { unread, left_out, ..ParticleFile::new(store, format) })
     }
 
     /// Decodes all rows in order. Also returns the number of rows without values at the end, as
-    /// spreadsheets write them, and the numbers in the column of times, if there is one.
+    /// spreadsheets write them, and the numbers in each column of times.
     fn decode(
         &self,
         source: &InputBytes,
-        columns: (&[Option<FieldTarget>], Option<usize>),
+        columns: (&[Option<FieldTarget>], &[usize]),
         text: (&[AtomicBool], &[Texts]),
         unpacking: Unpacking,
-    ) -> Result<(PrivateBytes, usize, Times), ReadFault> {
+    ) -> Result<(PrivateBytes, usize, Vec<Times>), ReadFault> {
         let mut rows = UnpackBuffer::new(unpacking);
         let mut lines_above = self.lines_above;
         let mut empty = 0;
-        let mut times = Times::default();
+        let mut times: Vec<_> = columns.1.iter().map(|_| Times::default()).collect();
         decode_windows(
             source,
             self.rows.clone(),
@@ -242,7 +247,7 @@ impl TextTable {
                 let is_empty = piece.empty * text.0.len() * WIDTH == piece.rows.len();
                 empty = if is_empty { empty + piece.empty } else { piece.empty };
                 lines_above += piece.lines;
-                times.append(piece.times);
+                times.iter_mut().zip(piece.times).for_each(|(times, next)| times.append(next));
                 rows.push(&piece.rows)?;
                 Ok(ControlFlow::Continue(()))
             },
@@ -255,14 +260,14 @@ impl TextTable {
     fn decode_piece(
         &self,
         piece: &[u8],
-        (slots, time): (&[Option<FieldTarget>], Option<usize>),
+        (slots, time_columns): (&[Option<FieldTarget>], &[usize]),
         (text, labels): (&[AtomicBool], &[Texts]),
     ) -> Result<DecodedPiece, (u64, String)> {
         let width = text.len() * WIDTH;
         let mut known: Vec<Known> = labels.iter().map(|_| Known::new()).collect();
         let mut rows = Vec::new();
         let mut empty = 0;
-        let mut times = Times::default();
+        let mut times: Vec<_> = time_columns.iter().map(|_| Times::default()).collect();
         for (line, _, content) in lines(piece) {
             if is_comment(content) {
                 continue;
@@ -292,8 +297,8 @@ impl TextTable {
                     };
                     rows[row + place * WIDTH..][..WIDTH].copy_from_slice(&number.to_le_bytes());
                 }
-                if Some(fields) == time {
-                    times.push(self.syntax.number(field).unwrap_or(f64::NAN), 1);
+                if let Some(time) = time_columns.iter().position(|&column| column == fields) {
+                    times[time].push(self.syntax.number(field).unwrap_or(f64::NAN), 1);
                 }
                 fields += 1;
             }

@@ -1,68 +1,89 @@
-//! Detects a table that contains several frames: a column of times divides its rows into blocks.
+//! Detects a table that contains several frames: many of its rows share each of several times.
+
+use hashbrown::HashMap;
 
 use crate::io::UnreadPart;
-use crate::io::names::Quantity;
+use crate::io::names::{Quantity, bare_name};
 
-/// Names of the column that contains the time or the number of a frame, compared without regard to
-/// case. The name `t` also counts, but only in lower case, because `T` may be a temperature.
-const NAMES: [&str; 4] = ["time", "frame", "step", "timestep"];
+/// Names of the column that contains the time or the number of a frame, in lower case and without
+/// punctuation; `time_s` has its unit in its name. The name `t` also counts, but only in lower
+/// case, because `T` may be a temperature.
+const NAMES: [&str; 20] = [
+    "time",
+    "times",
+    "timestep",
+    "timestamp",
+    "timeindex",
+    "simtime",
+    "simulationtime",
+    "physicaltime",
+    "frame",
+    "frameid",
+    "frameindex",
+    "frameno",
+    "framenumber",
+    "step",
+    "stepnumber",
+    "snapshot",
+    "snapshotnumber",
+    "snap",
+    "iteration",
+    "iter",
+];
 /// Maximum number of frames. A column with more different numbers has a time for each particle.
 const MOST_FRAMES: usize = 1 << 16;
-/// Minimum number of rows of a frame.
+/// Minimum number of rows of at least half of the frames.
 const FEWEST_ROWS: u64 = 4;
 
-/// The runs of rows with equal times in a table.
+/// The different times in a column of a table, and the number of rows with each time.
 #[derive(Debug, Default)]
 pub struct Times {
-    /// The time and the number of rows of each run, in ascending order of the times.
-    runs: Vec<(f64, u64)>,
-    /// Whether the times are not sorted, or there are too many.
-    is_mixed: bool,
+    /// The number of rows for the bits of each time.
+    rows: HashMap<u64, u64>,
+    /// Whether there are more than [`MOST_FRAMES`] times. The further times are not counted.
+    are_too_many: bool,
 }
 
 impl Times {
     /// Whether a quantity may be the time of each frame.
     pub fn are_in(quantity: &Quantity) -> bool {
-        let name = &*quantity.name;
-        let is_time = name == "t" || NAMES.iter().any(|known| name.eq_ignore_ascii_case(known));
+        let name = bare_name(&quantity.name);
+        let plain: String = name.chars().filter(char::is_ascii_alphanumeric).collect();
+        let is_time = name == "t" || NAMES.contains(&&*plain.to_ascii_lowercase());
         quantity.columns.len() == 1 && is_time
     }
 
-    /// Adds `rows` rows with the same number.
+    /// Adds `rows` rows with the same number. Ignores rows without a number (NaN).
     pub fn push(&mut self, number: f64, rows: u64) {
-        let is_full = self.runs.len() == MOST_FRAMES;
-        match self.runs.last_mut() {
-            Some((last, count)) if *last == number => *count += rows,
-            Some((last, _)) if *last < number && !is_full => {
-                self.runs.push((number, rows));
-            }
-            None if !number.is_nan() => self.runs.push((number, rows)),
-            _ => self.is_mixed = true,
+        if number.is_nan() || self.are_too_many {
+            return;
         }
+        // The sum with 0 makes -0 equal to 0.
+        *self.rows.entry((number + 0.0).to_bits()).or_default() += rows;
+        self.are_too_many = self.rows.len() > MOST_FRAMES;
     }
 
     /// Adds the rows of the next piece of a table.
     pub fn append(&mut self, next: Self) {
-        self.is_mixed |= next.is_mixed;
-        next.runs.into_iter().for_each(|(number, rows)| self.push(number, rows));
+        self.are_too_many |= next.are_too_many;
+        next.rows.into_iter().for_each(|(bits, rows)| self.push(f64::from_bits(bits), rows));
     }
 
     /// A message about the frames that the column `name` divides the rows into. `None` if particles
     /// may have times of their own.
     ///
-    /// The column divides the rows into frames if its numbers are sorted, each of them has at least
-    /// [`FEWEST_ROWS`] rows, and two consecutive numbers have similar numbers of rows.
+    /// The column divides the rows into frames if there are several times, and at least half of
+    /// them have [`FEWEST_ROWS`] rows or more. The rows can have any order.
     pub fn frames(&self, name: &str) -> Option<UnreadPart> {
-        let [(first, _), .., (last, _)] = self.runs[..] else { return None };
-        let are_similar = |a: u64, b: u64| 10 * a.abs_diff(b) <= a.max(b);
-        let is_divided = !self.is_mixed
-            && self.runs.iter().all(|(_, rows)| *rows >= FEWEST_ROWS)
-            && self.runs.windows(2).any(|pair| are_similar(pair[0].1, pair[1].1));
+        let count = self.rows.len();
+        let shared = self.rows.values().filter(|rows| **rows >= FEWEST_ROWS).count();
+        let is_divided = !self.are_too_many && count > 1 && 2 * shared >= count;
+        let times = || self.rows.keys().map(|&bits| f64::from_bits(bits));
         is_divided.then(|| UnreadPart::Times {
             column: name.to_owned(),
-            count: self.runs.len(),
-            first: first.to_string(),
-            last: last.to_string(),
+            count,
+            first: times().fold(f64::INFINITY, f64::min).to_string(),
+            last: times().fold(f64::NEG_INFINITY, f64::max).to_string(),
         })
     }
 }

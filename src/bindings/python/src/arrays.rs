@@ -250,7 +250,11 @@ pub fn vectors<'py>(name: &str, object: &Bound<'py, PyAny>) -> PyResult<BoundArr
     let bound = bind_array(name, object, Types::Floats)?;
     let shape = bound.array.shape();
     if shape.len() != 2 || shape[1] != 3 {
-        let way = if shape.len() == 2 && shape[0] == 3 { "; use .T" } else { "" };
+        let way = match *shape {
+            [3, _] => "; use .T",
+            [_, 2] => "; for particles in a plane, add a column of zeros",
+            _ => "",
+        };
         return Err(InputError::new_err(format!(
             "{name}: must be an array of shape (N, 3), not {}{way}",
             shape_text(shape)
