@@ -229,8 +229,9 @@ settings! {
     /// Periodic box, whose opposite faces are joined.
     ///
     /// `-` for both ends of an axis makes it non-periodic: 0,-,0,1,-,1 is periodic along x and z.
-    /// A particle exactly on an upper face counts as being on the lower face. Any other particle
-    /// outside the box is an error, unless you skip invalid particles.
+    /// A particle exactly on an upper face counts as being on the lower face. A particle that is at
+    /// most one spacing outside the box is wrapped into it, and counted. A particle farther outside
+    /// is an error, unless you skip invalid particles.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 
@@ -267,8 +268,8 @@ settings! {
     /// Skip particles with an invalid position, and report their number; by default, such particles
     /// are an error.
     ///
-    /// A position is invalid if it is not finite, if it is outside the periodic box, or if it is
-    /// more than 4.19 million cells from the grid's origin along an axis.
+    /// A position is invalid if it is not finite, if it is more than one spacing outside the
+    /// periodic box, or if it is more than 4.19 million cells from the grid's origin along an axis.
     #[arg(help_heading = "Input", hide_short_help = true)]
     skip_invalid: bool,
 

@@ -63,7 +63,7 @@ impl CountingRoom {
     pub const BINS: Self = Self { bins: usize::MAX, places: 0 };
 }
 
-/// The treatment of particles whose position is not finite, too far from the grid's origin, or
+/// The treatment of particles whose position is not finite, too far from the grid's origin, or far
 /// outside the periodic box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum InvalidParticles {
@@ -94,11 +94,12 @@ pub enum BinError {
         /// Maximum number of bins.
         limit: usize,
     },
-    /// A particle is outside the periodic box.
+    /// A particle is too far outside the periodic box to be wrapped into it.
     #[error(
-        "particle {index} at ({}, {}, {}) is outside the periodic box along {axis}; use a larger \
-         box, or skip such particles",
-        position[0], position[1], position[2]
+        "particle {index} at ({}, {}, {}) is more than {} outside the periodic box along {axis}; \
+         use the box of the simulation, wrap the positions into it (LAMMPS: dump_modify ID pbc \
+         yes), or skip such particles",
+        position[0], position[1], position[2], crate::grid::units::shown(*farthest)
     )]
     OutsideBox {
         /// The particle's index in the file, from 0.
@@ -107,6 +108,8 @@ pub enum BinError {
         position: [f64; 3],
         /// The axis along which the particle is outside: x, y or z.
         axis: char,
+        /// The maximum distance outside the box of a particle that is wrapped into it.
+        farthest: f64,
     },
     /// A particle is too far from the grid's origin.
     #[error(
@@ -124,7 +127,7 @@ pub enum BinError {
     },
 }
 
-/// Numbers of binned and skipped particles.
+/// Numbers of binned, skipped and wrapped particles.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Census {
     /// Number of particles in bins, which contribute to the field.
@@ -133,9 +136,12 @@ pub struct Census {
     pub not_finite: usize,
     /// Number of particles that are skipped because they are too far from the grid's origin.
     pub too_far: usize,
-    /// Number of particles that are skipped because they are outside the domain's walls or a
-    /// periodic box.
+    /// Number of particles that are skipped because they are outside the domain's walls, or too far
+    /// outside a periodic box.
     pub outside: usize,
+    /// Number of binned particles that were wrapped into a periodic box: they were slightly
+    /// outside, and were moved by one period.
+    pub wrapped: usize,
 }
 
 /// The result of the first of two readings: the number of particles in each bin.

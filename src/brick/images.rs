@@ -11,7 +11,7 @@ use std::sync::{Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use crate::grid::{Domain, Grid, Periodic, PlacementError};
+use crate::grid::{Domain, Grid, InBox, Periodic, PlacementError};
 use crate::particles::{AttributeInfo, MeteredParticles, Particles, RereadError};
 
 use crate::system::control::Stage;
@@ -34,44 +34,55 @@ pub struct WithImages<'a> {
 struct Images<'a> {
     placer: Placer,
     periodic: &'a Periodic,
+    /// The maximum distance outside the box of a particle that is wrapped into it.
+    farthest: f64,
     /// For each group, the number of images in the groups before it; the last entry is the number
     /// of all images.
     before: Vec<u64>,
-    /// Number of particles outside the box.
+    /// Number of particles that are too far outside the box to be wrapped.
     outside: usize,
+    /// Number of binned particles that were wrapped into the box.
+    wrapped: usize,
 }
 
-/// The invalid particles of all groups.
+/// The wrapped and invalid particles of all groups.
 #[derive(Default)]
-struct InvalidCounts {
+struct ParticleCounts {
     outside: AtomicUsize,
+    wrapped: AtomicUsize,
     /// The number of the first group with an invalid particle, and the error for this particle.
     first_invalid: Mutex<Option<(usize, BinError)>>,
 }
 
 impl<'a> WithImages<'a> {
-    /// If the box is periodic, reads all particles once and counts their images.
+    /// If the box is periodic, reads all particles once and counts their images. Particles at most
+    /// one `spacing` outside the box are wrapped into it.
     ///
     /// # Errors
     /// Unless invalid particles are skipped, the [`BinError`] of the first particle that cannot be
-    /// placed or is outside the box.
+    /// placed or is too far outside the box.
     pub fn of(
         particles: MeteredParticles<'a>,
         grid: &Grid,
         domain: Option<&Domain>,
         periodic: Option<&'a Periodic>,
+        spacing: f64,
         invalid: InvalidParticles,
     ) -> Result<Self, BinError> {
         let Some(periodic) = periodic else { return Ok(Self { particles, images: None }) };
         let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
-        let images = Images { placer, periodic, before: Vec::new(), outside: 0 };
+        // The box is at least twice as wide as the reach, and the grid contains all positions
+        // within the reach.
+        let farthest = spacing.min(f64::from(periodic.reach()) * grid.cell_size());
+        let images =
+            Images { placer, periodic, farthest, before: Vec::new(), outside: 0, wrapped: 0 };
         let mut before = Vec::new();
-        let (counts, groups) = (InvalidCounts::default(), particles.len().div_ceil(GROUP));
+        let (counts, groups) = (ParticleCounts::default(), particles.len().div_ceil(GROUP));
         (0..groups)
             .into_par_iter()
             .map(|group| images.count(&particles, group, &counts))
             .collect_into_vec(&mut before);
-        let InvalidCounts { outside, first_invalid } = counts;
+        let ParticleCounts { outside, wrapped, first_invalid } = counts;
         let first_invalid = first_invalid.into_inner().unwrap_or_else(PoisonError::into_inner);
         if let (InvalidParticles::Refuse, Some((_, error))) = (invalid, first_invalid) {
             return Err(error);
@@ -81,10 +92,8 @@ impl<'a> WithImages<'a> {
             all += std::mem::replace(before, all);
         }
         before.push(all);
-        Ok(Self {
-            particles,
-            images: Some(Images { before, outside: outside.into_inner(), ..images }),
-        })
+        let (outside, wrapped) = (outside.into_inner(), wrapped.into_inner());
+        Ok(Self { particles, images: Some(Images { before, outside, wrapped, ..images }) })
     }
 
     /// Starts `stage`: from now on, reading particles advances the progress of this stage up to the
@@ -100,17 +109,18 @@ impl<'a> WithImages<'a> {
             binned: census.binned - images.count_all(),
             not_finite: census.not_finite - images.outside,
             outside: census.outside + images.outside,
+            wrapped: images.wrapped,
             ..census
         }
     }
 }
 
 /// A position within the faces of the periodic box, and the same position in steps.
-type Wrapped = ([f64; 3], [i64; 3]);
+type Placed = (InBox, [i64; 3]);
 
 /// A particle that cannot be binned.
 enum MisplacedParticle {
-    /// Outside the box along this axis.
+    /// Too far outside the box along this axis.
     OutsideBox(char),
     /// Not finite, or too far from the grid's origin.
     Unplaced(PlacementError),
@@ -126,16 +136,22 @@ impl Images<'_> {
         self.before.last().map_or(0, |&all| all as usize)
     }
 
+    /// A particle's position within the faces of the periodic box. If the particle is too far
+    /// outside, `Err` names the axis.
+    fn inside(&self, position: [f64; 3]) -> Result<InBox, char> {
+        self.periodic.inside(position, self.farthest)
+    }
+
     /// A particle's position within the faces of the periodic box, and its steps; `None` outside
     /// the domain.
-    fn placed(&self, position: [f64; 3]) -> Result<Option<Wrapped>, MisplacedParticle> {
-        let inside = self.periodic.inside(position).map_err(MisplacedParticle::OutsideBox)?;
-        let steps = self.placer.place(inside).map_err(MisplacedParticle::Unplaced)?;
+    fn placed(&self, position: [f64; 3]) -> Result<Option<Placed>, MisplacedParticle> {
+        let inside = self.inside(position).map_err(MisplacedParticle::OutsideBox)?;
+        let steps = self.placer.place(inside.position).map_err(MisplacedParticle::Unplaced)?;
         Ok(steps.map(|steps| (inside, steps)))
     }
 
-    fn images(&self, (inside, steps): Wrapped) -> impl Iterator<Item = [f64; 3]> + use<> {
-        self.periodic.images(&self.placer.grid, inside, steps)
+    fn images(&self, (inside, steps): Placed) -> impl Iterator<Item = [f64; 3]> + use<> {
+        self.periodic.images(&self.placer.grid, inside.position, steps)
     }
 
     /// The images of a particle; a skipped particle has none.
@@ -145,21 +161,24 @@ impl Images<'_> {
         placed.map(|placed| self.images(placed)).into_iter().flatten()
     }
 
-    /// Returns the number of images of a group, and adds the group's invalid particles to `counts`.
-    fn count(&self, particles: &dyn Particles, group: usize, counts: &InvalidCounts) -> u64 {
+    /// Returns the number of images of a group, and adds the group's wrapped and invalid particles
+    /// to `counts`.
+    fn count(&self, particles: &dyn Particles, group: usize, counts: &ParticleCounts) -> u64 {
         let range = group_range(particles, group);
         let mut positions = vec![[0.0; 3]; range.len()];
         particles.positions(range.start, &mut positions);
-        let (mut images, mut outside, mut first_invalid) = (0, 0, None);
+        let (mut images, mut outside, mut wrapped, mut first_invalid) = (0, 0, 0, None);
         for (index, &position) in range.clone().zip(&positions) {
             let invalid = match self.placed(position) {
-                Ok(placed) => {
-                    images += placed.map_or(0, |placed| self.images(placed).count()) as u64;
+                Ok(None) => continue,
+                Ok(Some(placed)) => {
+                    images += self.images(placed).count() as u64;
+                    wrapped += usize::from(placed.0.wrapped);
                     continue;
                 }
                 Err(MisplacedParticle::OutsideBox(axis)) => {
                     outside += 1;
-                    BinError::OutsideBox { index, position, axis }
+                    BinError::OutsideBox { index, position, axis, farthest: self.farthest }
                 }
                 Err(MisplacedParticle::Unplaced(PlacementError::NotFinite)) => {
                     BinError::NotFinite { index, position }
@@ -172,6 +191,7 @@ impl Images<'_> {
         }
         particles.release(range);
         counts.outside.fetch_add(outside, Ordering::Relaxed);
+        counts.wrapped.fetch_add(wrapped, Ordering::Relaxed);
         if let Some(invalid) = first_invalid {
             let mut first = counts.first_invalid.lock().unwrap_or_else(PoisonError::into_inner);
             if first.is_none_or(|(before, _)| group < before) {
@@ -237,9 +257,10 @@ impl Particles for WithImages<'_> {
         let (real, mut rest) = split(out, 1, first, own);
         if !real.is_empty() {
             self.particles.positions(first, real);
-            // Particles outside the box get NaN positions.
-            real.iter_mut()
-                .for_each(|at| *at = images.periodic.inside(*at).unwrap_or([f64::NAN; 3]));
+            // Particles too far outside the box get NaN positions.
+            real.iter_mut().for_each(|at| {
+                *at = images.inside(*at).map_or([f64::NAN; 3], |inside| inside.position);
+            });
         }
         let (first, count) = (first.max(own) - own, rest.len());
         images.groups(&self.particles, first, count, |_, _, positions| {
@@ -352,11 +373,12 @@ mod tests {
         positions[2048..3072].fill([0.5; 3]);
         (positions[7], positions[8], positions[9]) =
             ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
+        (positions[10], positions[11]) = ([0.5, 0.5, -0.03125], [1.03125, 0.5, 0.5]);
         let info = AttributeInfo::new("number", 2);
         let particles = NumberedParticles(positions, vec![info]);
         let control = Control::default();
         let metered = || MeteredParticles::new(&particles, &control, Stage::Counting);
-        let of = |invalid| WithImages::of(metered(), &grid, None, Some(&periodic), invalid);
+        let of = |invalid| WithImages::of(metered(), &grid, None, Some(&periodic), 0.05, invalid);
         let first = of(InvalidParticles::Refuse).unwrap_err();
         assert!(matches!(first, BinError::NotFinite { index: 7, .. }), "{first}");
         let all = of(InvalidParticles::Skip).unwrap();
@@ -368,6 +390,7 @@ mod tests {
         let mut whole = vec![[0.0; 3]; len];
         all.positions(0, &mut whole);
         assert!(whole[7][1].is_nan() && whole[8][0].is_nan() && whole[9] == [0.0, 0.5, 0.5]);
+        assert_eq!((whole[10], whole[11]), ([0.5, 0.5, 0.96875], [0.03125, 0.5, 0.5]));
         let mut values = vec![0.0; 2 * len];
         all.attribute(0, 0, &mut values);
         for (position, value) in whole.iter().zip(values.chunks(2)).skip(5000) {
@@ -392,10 +415,10 @@ mod tests {
                 assert_eq!(some_values, values[2 * first..2 * (first + count)]);
             }
         }
-        let counted = Census { binned: len - 2, not_finite: 2, too_far: 0, outside: 0 };
+        let counted = Census { binned: len - 2, not_finite: 2, ..Census::default() };
         assert_eq!(
             all.census(counted),
-            Census { binned: 4998, not_finite: 1, too_far: 0, outside: 1 }
+            Census { binned: 4998, not_finite: 1, too_far: 0, outside: 1, wrapped: 2 }
         );
     }
 
@@ -423,7 +446,7 @@ mod tests {
         let invalid = InvalidParticles::Refuse;
         let control = Control::default();
         let metered = MeteredParticles::new(&unstable, &control, Stage::Counting);
-        let all = WithImages::of(metered, &grid, None, Some(&periodic), invalid).unwrap();
+        let all = WithImages::of(metered, &grid, None, Some(&periodic), 0.02, invalid).unwrap();
         for first in [0, 2990, 3000, 3100, all.len() - 5] {
             let mut positions = vec![[7.0; 3]; all.len() - first];
             all.positions(first, &mut positions);

@@ -72,9 +72,11 @@ impl<'a> CountedFrame<'a> {
         invalid: InvalidParticles,
         count: impl FnOnce(&WithImages<'a>, CountingRoom) -> Result<BinPlan, BinError>,
     ) -> Result<(WithImages<'a>, BinPlan), FrameError> {
-        let Sampling { grid, domain, periodic, resources, .. } = sampling;
+        let Sampling { grid, domain, periodic, spacing, resources, .. } = sampling;
         let metered = MeteredParticles::new(input, &resources.control, Stage::Counting);
-        let particles = WithImages::of(metered, grid, domain.as_ref(), periodic.as_ref(), invalid);
+        let (domain, periodic) = (domain.as_ref(), periodic.as_ref());
+        let spacing = spacing.unwrap_or(grid.cell_size());
+        let particles = WithImages::of(metered, grid, domain, periodic, spacing, invalid);
         resources.go_on()?;
         input.check()?;
         check_attribute_memory(input, sampling)?;

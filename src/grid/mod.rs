@@ -15,6 +15,7 @@ pub mod units;
 pub use domain::{Domain, DomainError, Walls};
 pub use levels::{BlockLevel, LevelRegion};
 pub use mirror::Mirror;
+pub(crate) use periodic::InBox;
 pub use periodic::{Periodic, PeriodicError, PeriodicMesh};
 
 use glam::{DVec3, IVec3};

@@ -1,9 +1,14 @@
 //! Periodic boxes: beyond a face, the fluid continues as it does inside the opposite face.
 //!
-//! Coordinates are not wrapped. A particle near a face also has an image beyond the opposite face,
-//! a whole number of fixed-point steps away. A filter that reaches beyond a face therefore finds
-//! the same particles as in an infinitely repeated fluid. The edges of a box may have different
-//! lengths, and need not be whole numbers of cells long.
+//! A particle near a face also has an image beyond the opposite face, a whole number of fixed-point
+//! steps away. A filter that reaches beyond a face therefore finds the same particles as in an
+//! infinitely repeated fluid. The edges of a box may have different lengths, and need not be whole
+//! numbers of cells long.
+//!
+//! Simulations usually wrap coordinates into the box only now and then, for example whenever they
+//! build lists of neighbours, and may write particles that have left the box since. A particle
+//! slightly outside the box is therefore wrapped: it moves by one period. A particle far outside
+//! shows that the box is wrong.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};
@@ -27,6 +32,15 @@ pub struct Periodic {
     period: [i64; 3],
     /// The maximum distance of images from the faces, in the particles' unit of length.
     reach_length: f64,
+}
+
+/// A particle's position between the faces of a periodic box.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct InBox {
+    /// The position.
+    pub position: [f64; 3],
+    /// Whether the particle was wrapped: it was outside the box, by more than a rounding error.
+    pub wrapped: bool,
 }
 
 /// How a mesh ends at periodic faces.
@@ -209,20 +223,30 @@ impl Periodic {
 
     /// Returns the position of a particle between the faces. A coordinate on the upper face moves
     /// to the lower face. A coordinate outside the box also moves to the lower face if it equals a
-    /// face after both are rounded to f32. If any other finite coordinate is outside the box, `Err`
-    /// names its axis. Coordinates that are not finite are returned unchanged.
-    pub fn inside(&self, world: [f64; 3]) -> Result<[f64; 3], char> {
+    /// face after both are rounded to f32. Any other coordinate that is at most `farthest` outside
+    /// the box moves by one period. If a finite coordinate is farther outside, `Err` names its
+    /// axis. Coordinates that are not finite are returned unchanged.
+    ///
+    /// `farthest` must be less than the width of the box.
+    pub(crate) fn inside(&self, world: [f64; 3], farthest: f64) -> Result<InBox, char> {
         let [lo, hi] = self.faces.walls();
-        let mut inside = world;
+        let mut inside = InBox { position: world, wrapped: false };
         for axis in 0..3 {
             let (x, lo, hi) = (world[axis], lo[axis], hi[axis]);
             let is_on = |face: f64| x == face || x as f32 == face as f32;
-            if (x >= hi || x < lo) && x.is_finite() {
-                if !is_on(hi) && !is_on(lo) {
-                    return Err(AXES[axis]);
-                }
-                inside[axis] = lo;
+            if (lo..hi).contains(&x) || !x.is_finite() {
+                continue;
             }
+            inside.position[axis] = if is_on(hi) || is_on(lo) {
+                lo
+            } else if (lo - x).max(x - hi) <= farthest {
+                inside.wrapped = true;
+                let moved = if x < lo { x + (hi - lo) } else { x - (hi - lo) };
+                // Rounding can move a coordinate onto the upper face or below the lower face.
+                if (lo..hi).contains(&moved) { moved } else { lo }
+            } else {
+                return Err(AXES[axis]);
+            };
         }
         Ok(inside)
     }
@@ -234,7 +258,8 @@ impl Periodic {
         let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
         let sides = sides(2)
             .flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
-        // `inside` moves a particle to the lower face if its rounded coordinate equals a face.
+        // `inside` moves a particle to the lower face if its rounded coordinate equals a face, and
+        // by one period, which is not a whole number of steps, if the particle is outside the box.
         // Along a periodic axis, the particle's bin may therefore differ by one from the bin of its
         // original position, shifted by whole periods.
         let margin = IVec3::from(period.map(|period| i32::from(period != 0)));
@@ -327,15 +352,29 @@ mod tests {
     fn the_upper_face_maps_to_the_lower_one_despite_single_precision() {
         let grid = Grid::new(DVec3::ZERO, 0.037).unwrap();
         let periodic = unit_box(&grid);
-        assert_eq!(periodic.inside([1.1, 5.0, 1.0]), Ok([0.0, 5.0, -2.0]));
-        assert_eq!(
-            periodic.inside([f64::from(1.1_f32), 5.0, 0.0]),
-            Ok([0.0, 5.0, 0.0]),
-            "above 1.1"
-        );
-        assert_eq!(periodic.inside([1.100_001, 5.0, 0.0]), Err('x'));
-        assert_eq!(periodic.inside([-1e-9, 5.0, 0.0]), Err('x'));
-        assert_eq!(periodic.inside([0.5, 1e300, -2.001]), Err('z'), "y is open");
+        let inside = |world| periodic.inside(world, 0.0);
+        let unwrapped = |position| Ok(InBox { position, wrapped: false });
+        assert_eq!(inside([1.1, 5.0, 1.0]), unwrapped([0.0, 5.0, -2.0]));
+        assert_eq!(inside([f64::from(1.1_f32), 5.0, 0.0]), unwrapped([0.0, 5.0, 0.0]), "above 1.1");
+        assert_eq!(inside([1.100_001, 5.0, 0.0]), Err('x'));
+        assert_eq!(inside([-1e-9, 5.0, 0.0]), Err('x'));
+        assert_eq!(inside([0.5, 1e300, -2.001]), Err('z'), "y is open");
+    }
+
+    #[test]
+    fn particles_slightly_outside_are_wrapped_and_stay_in_the_box() {
+        let grid = Grid::new(DVec3::ZERO, 0.037).unwrap();
+        let periodic = unit_box(&grid);
+        let inside = |world| periodic.inside(world, 0.0625);
+        let wrapped = |position| Ok(InBox { position, wrapped: true });
+        assert_eq!(inside([0.5, 5.0, 1.0625]), wrapped([0.5, 5.0, -1.9375]));
+        assert_eq!(inside([0.5, 5.0, -2.0625]), wrapped([0.5, 5.0, 0.9375]));
+        assert_eq!(inside([1.15, 5.0, -2.01]), wrapped([1.15 - 1.1, 5.0, -2.01 + 3.0]));
+        assert_eq!(inside([0.5, 5.0, 1.0626]), Err('z'));
+        assert_eq!(inside([-0.0626, 5.0, 1.03]), Err('x'));
+        assert_eq!(inside([f64::INFINITY, 5.0, 0.0]).unwrap().position[0], f64::INFINITY);
+        // The sum of this coordinate and the period is rounded to the upper face.
+        assert_eq!(inside([-1e-30, 5.0, 0.0]), wrapped([0.0, 5.0, 0.0]));
     }
 
     #[test]
@@ -355,13 +394,15 @@ mod tests {
                 let along = |[lo, hi]: [f64; 2], k: i32| match i * k % 11 {
                     0 => f64::from(lo as f32),
                     1 => f64::from(hi as f32),
+                    2 => lo - share(5),
+                    3 => hi + share(5),
                     _ => lo + share(k) * (hi - lo),
                 };
                 let original = [along(x, 7), 30.0 * share(13), along(z, 17)];
                 let around: Vec<CellBox> =
                     periodic.with_images(CellBox::cube(bin(original), 1)).collect();
                 assert_eq!(around.len(), 9, "y is open");
-                let inside = periodic.inside(original).unwrap();
+                let inside = periodic.inside(original, 1.0).unwrap().position;
                 for at in
                     periodic.images(&grid, inside, grid.place(inside).unwrap()).chain([inside])
                 {

@@ -436,6 +436,7 @@ mod tests {
                 index: 7,
                 position: [2.0, 0.0, 0.0],
                 axis: 'x',
+                farthest: 0.05,
             })),
             frame(FrameError::NoSpacing),
             frame(FrameError::NoDistanceSurface { at_solids: false }),

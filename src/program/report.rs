@@ -155,12 +155,13 @@ fn report_calibration(
     }
 }
 
-/// Prints how many particles were left out, for each reason.
+/// Prints how many particles were left out, for each reason, and how many were wrapped.
 pub fn report_census(census: &Census, notes: &Notes) {
     for (count, what) in [
         (census.not_finite, "skipped: a coordinate is not finite"),
         (census.too_far, "skipped: too far from the origin of the grid"),
         (census.outside, "left out: outside the domain or the periodic box"),
+        (census.wrapped, "wrapped into the periodic box (at most one spacing outside it)"),
     ] {
         if count > 0 {
             notes.say(format!("{} {what}", counted(count as u64, "particle")));

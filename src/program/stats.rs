@@ -115,6 +115,7 @@ pub fn record(options: &ReconstructOptions, report: &Report, made: &MeshStats<'_
         "not_finite": facts.census.not_finite,
         "too_far": facts.census.too_far,
         "outside_domain": facts.census.outside,
+        "wrapped": facts.census.wrapped,
         "cell_size": facts.grid.cell_size(),
         "origin": facts.grid.origin().to_array(),
         "domain": facts.domain.map(|domain| domain.walls().map(|wall| wall.to_array())),

@@ -145,9 +145,12 @@ impl Reconstruction {
     /// Sets a periodic box by its faces along x, y and z; `None` makes an axis open. Fluid that
     /// leaves the box at a face enters at the opposite face.
     ///
-    /// A particle exactly on an upper face counts as being on the lower face. Any other particle
-    /// outside the box gives an error, unless [`skip_invalid`](Self::skip_invalid) leaves it out.
-    /// Open axes can have walls.
+    /// A particle exactly on an upper face counts as being on the lower face. A particle that is at
+    /// most one spacing outside the box is wrapped: it moves by one period, and [`Census`] counts
+    /// it. A particle farther outside gives an error, unless [`skip_invalid`](Self::skip_invalid)
+    /// leaves it out. Open axes can have walls.
+    ///
+    /// [`Census`]: crate::Census
     ///
     /// ```
     /// use meniscus::Reconstruction;

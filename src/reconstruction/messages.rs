@@ -333,7 +333,7 @@ fn files() -> String {
 
 fn frames() -> String {
     let mut text = String::new();
-    let census = Census { binned: 0, not_finite: 2, too_far: 1, outside: 5 };
+    let census = Census { not_finite: 2, too_far: 1, outside: 5, ..Census::default() };
     let iso = Isovalue::new(0.4).unwrap();
     let mean = NoMeanCount(UnitError::MeanCount(70_000.0));
     let small = TooSmall { components: 3, drops: 1 };
@@ -357,7 +357,7 @@ fn frames() -> String {
     examples!(text, BinError:
         NotFinite { index: 7, position: [0.0, f64::NAN, 0.0] },
         TooManyBins { limit: 1 << 26 },
-        OutsideBox { index: 7, position: [2.0, 0.0, 0.0], axis: 'x' },
+        OutsideBox { index: 7, position: [2.0, 0.0, 0.0], axis: 'x', farthest: 0.05 },
         TooFar { index: 7, position: [1e12, 0.0, 0.0], cell_size: 0.1 },
     );
     examples!(text, KindFault:

@@ -34,7 +34,7 @@ pub struct SamplingRequest {
     /// The method that makes the field.
     pub method: Method,
     /// Treatment of particles whose positions are not finite, too far from the grid's origin, or
-    /// outside the periodic box.
+    /// too far outside the periodic box.
     pub invalid: InvalidParticles,
     /// The grid's origin, which is a corner of a cell; with `None`, the grid can move to suit a
     /// lattice.

@@ -169,7 +169,7 @@ pub struct FrameCounts {
 #[derive(Debug, Default, Clone, Copy)]
 #[non_exhaustive]
 pub struct OmittedCounts {
-    /// Counts of the particles that were used, skipped, or outside the domain.
+    /// Counts of the particles that were used, skipped, outside the domain, or wrapped.
     pub census: Census,
     /// Lower bound on the number of particles that are missing from surfaces.
     pub lost: u64,
@@ -185,6 +185,7 @@ impl OmittedCounts {
         self.census.not_finite += other.census.not_finite;
         self.census.too_far += other.census.too_far;
         self.census.outside += other.census.outside;
+        self.census.wrapped += other.census.wrapped;
         self.lost += other.lost;
         self.drops += other.drops;
         self.unselected += other.unselected;

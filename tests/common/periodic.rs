@@ -46,6 +46,28 @@ pub fn fluid(seed: u64, edges: DVec3) -> Vec<[f64; 3]> {
     particles
 }
 
+/// The particles as a simulator may write them before it wraps them: along the periodic axes, all
+/// particles within 0.5 of a face lie outside the opposite face. Also returns their number.
+///
+/// The lower faces must be at 0, so that wrapping the particles of a [`fluid`] is exact.
+pub fn unwrapped(particles: &[[f64; 3]], faces: Faces) -> (Vec<[f64; 3]>, usize) {
+    let mut count = 0;
+    let outside = particles.iter().map(|&position| {
+        let mut outside = position;
+        for (x, faces) in outside.iter_mut().zip(faces) {
+            let Some([_, edge]) = faces else { continue };
+            if *x > 0.0 && *x <= 0.5 {
+                *x += edge;
+            } else if *x >= edge - 0.5 {
+                *x -= edge;
+            }
+        }
+        count += usize::from(outside != position);
+        outside
+    });
+    (outside.collect(), count)
+}
+
 /// The fluid and its copies along the periodic axes.
 pub fn repeated(particles: &[[f64; 3]], faces: Faces) -> Vec<[f64; 3]> {
     let shifts = faces.map(|faces| match faces {

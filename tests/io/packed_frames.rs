@@ -187,6 +187,7 @@ fn small_periodic() -> SampledDif {
     let domain = Some(Domain::new(&grid, walls[0], walls[1]).unwrap());
     let periodic = Some(Periodic::new(&grid, [None, Some([-15.0, 9.5]), None], 9).unwrap());
     frame.facts = FrameFacts { domain, periodic, ..frame.facts };
+    frame.facts.census.wrapped = 3;
     frame
 }
 
@@ -208,7 +209,7 @@ fn a_periodic_box_is_preserved_and_damage_to_it_is_detected() {
         (faces + 8, (-1e9_f64).to_le_bytes().into(), "from the origin"),
         (faces + 32, 2.5_f64.to_le_bytes().into(), "which is twice the reach"),
         (faces + 48, u32::MAX.to_le_bytes().into(), "the periodic box is invalid"),
-        (faces + 52, 1_u32.to_le_bytes().into(), "the periodic box is invalid"),
+        (faces + 52, u32::MAX.to_le_bytes().into(), "the periodic box is invalid"),
         (footer + 32, 1_u32.to_le_bytes().into(), "which does not fit"),
     ];
     for (at, patch, expected) in cases {

@@ -187,6 +187,9 @@ fn channel() -> ([f64; 3], Vec<[f64; 3]>) {
     // Add rows of particles on two faces of the box, with no other particles nearby.
     particles.extend((0..20).map(|i| [200.2, 14.0, 0.4 * f64::from(i)]));
     particles.extend((0..50).map(|i| [f64::from(i), 18.0, 13.7]));
+    // Add a row of particles outside each of two faces.
+    particles.extend((0..20).map(|i| [200.45, 22.0, 0.4 * f64::from(i)]));
+    particles.extend((0..50).map(|i| [f64::from(i), 26.0, -0.25]));
     (edge, particles)
 }
 
@@ -210,7 +213,8 @@ fn merged_parts_of_a_periodic_box_equal_a_single_run() {
         let planned = parts.plan().unwrap();
         let read: Vec<usize> = (0..9).map(|part| made(&parts, part).1).collect();
         let merged = parts.merge().unwrap();
-        assert_eq!(merged.report().facts.census.binned, particles.len());
+        let census = merged.report().facts.census;
+        assert_eq!((census.binned, census.wrapped), (particles.len(), 70));
         assert!(merged.to_mesh().unwrap() == expected, "{ordered} {periodic_mesh:?}");
         for (part, &read) in planned.parts.iter().zip(&read) {
             let enough =

@@ -23,7 +23,7 @@ use tempfile::TempDir;
 
 use crate::common::attributed::Attributed;
 use crate::common::files::{bytes_of, raw};
-use crate::common::periodic::{Faces, fluid, repeated, triangles_within};
+use crate::common::periodic::{Faces, fluid, repeated, triangles_within, unwrapped};
 use crate::common::program::{command, run};
 use crate::common::scene::Random;
 use crate::common::{fill, sampling, shuffle, surfacing};
@@ -158,6 +158,30 @@ fn a_periodic_mesh_is_independent_of_order_threads_and_memory() {
     }
 }
 
+#[test]
+fn particles_slightly_outside_a_periodic_box_are_wrapped_into_it() {
+    let edges = DVec3::new(31.0, 40.0, 29.0);
+    let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
+    let fluid = fluid(23, edges);
+    let (outside, count) = unwrapped(&fluid, faces);
+    assert!(count > 100, "{count} particles outside the box");
+    let [inside, outside] = [&fluid, &outside].map(|particles| with_directions(particles, &fluid));
+    let scratch = TempDir::new().unwrap();
+    for kind in crate::common::INDICATORS {
+        let sampling = Sampling { carried: vec![0], ..in_box(kind, 0.9, faces) };
+        let (_, expected) = meshed(&inside, &sampling, &surfacing());
+        for budget in [1 << 18, 8 << 30] {
+            let resources = Resources::new(MemoryBudget(budget), scratch.path().to_owned());
+            let sampling = Sampling { resources, ..sampling.clone() };
+            let (frame, mesh) = meshed(&outside, &sampling, &surfacing());
+            assert!(mesh == expected, "{kind:?}, {budget} bytes");
+            let census = frame.facts().census;
+            assert_eq!((census.binned, census.outside), (fluid.len(), 0));
+            assert_eq!(census.wrapped, count);
+        }
+    }
+}
+
 /// The mean height of the mesh's upper side, at these distances from the box's faces along x and z.
 fn level(mesh: &Mesh, edge: f64, distances: std::ops::Range<f64>) -> f64 {
     let from_faces = |p: &&[f64; 3]| {
@@ -280,7 +304,7 @@ fn with<'a>(usual: &[&'a str], more: &[&'a str]) -> Vec<&'a str> {
 #[test]
 fn invalid_periodic_boxes_are_refused_with_the_reason() {
     let (folder, mut particles) = pool();
-    particles.push([24.5, 3.0, 3.0]);
+    particles.push([25.5, 3.0, 3.0]);
     fs::write(folder.path().join("astray.xyz"), raw(&particles)).unwrap();
     let before = fs::read_dir(folder.path()).unwrap().count();
     for (options, code, message) in [
@@ -304,7 +328,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
             "cells per spacing, got",
         ),
         (&["--periodic-mesh", "overlap"], 2, "--periodic-mesh has no effect without --periodic"),
-        (&["--periodic", "0.5,-,0,24.5,-,24"], 3, "is outside the periodic box along x"),
+        (&["--periodic", "2,-,0,26,-,24"], 3, "is more than 1 outside the periodic box along x"),
         (
             &["--periodic", BOX, "--domain", "-,0,-,-,nan,-"],
             2,
@@ -320,7 +344,7 @@ fn invalid_periodic_boxes_are_refused_with_the_reason() {
         ["reconstruct", "astray.xyz", "--spacing", "1", "--periodic", BOX, "-o", "mesh.ply"];
     let errors = run(folder.path(), &astray, 3);
     let named = format!(
-        "particle {} at (24.5, 3, 3) is outside the periodic box along x",
+        "particle {} at (25.5, 3, 3) is more than 1 outside the periodic box along x",
         particles.len() - 1
     );
     assert!(errors.contains(&named), "{errors}");
@@ -348,6 +372,34 @@ fn a_particle_on_an_upper_face_moves_to_the_lower_one_despite_rounding() {
     let [low, high] =
         ["low.ply", "high.ply"].map(|name| fs::read(folder.path().join(name)).unwrap());
     assert!(low == high);
+}
+
+#[test]
+fn wrapped_particles_are_reported_and_counted_in_the_statistics() {
+    let (folder, particles) = pool();
+    let (outside, count) = unwrapped(&particles, [Some([0.0, 24.0]), None, Some([0.0, 24.0])]);
+    fs::write(folder.path().join("outside.xyz"), raw(&outside)).unwrap();
+    run(folder.path(), &with(&POOL, &["--periodic", BOX, "-o", "inside.ply"]), 0);
+    let usual = ["outside.xyz", "--spacing", "1", "--periodic", BOX, "--backend", "cpu", "-o"];
+    let reported = format!("{count} particles wrapped into the periodic box");
+    for arguments in [
+        with(&["reconstruct"], &with(&usual, &["outside.ply", "--stats", "s.jsonl"])),
+        with(&["pack"], &with(&usual, &["outside.mnf"])),
+        vec!["reconstruct", "outside.mnf", "-o", "packed.ply", "--stats", "s.jsonl"],
+    ] {
+        let messages = run(folder.path(), &arguments, 0);
+        assert_eq!(messages.matches(&reported).count(), 1, "{arguments:?}: {messages}");
+    }
+    let [inside, outside, packed] = ["inside.ply", "outside.ply", "packed.ply"]
+        .map(|name| fs::read(folder.path().join(name)).unwrap());
+    assert!(outside == inside && packed == inside);
+    let stats = fs::read_to_string(folder.path().join("s.jsonl")).unwrap();
+    assert_eq!(stats.lines().count(), 2);
+    for line in stats.lines() {
+        let stats: serde_json::Value = serde_json::from_str(line).unwrap();
+        assert_eq!(stats["wrapped"], count);
+        assert_eq!(stats["particles"], particles.len());
+    }
 }
 
 #[test]

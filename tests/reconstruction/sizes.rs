@@ -13,7 +13,7 @@ use meniscus::{
 };
 
 use crate::common::files::text_of_obj;
-use crate::common::periodic::{Faces, repeated, triangles_within};
+use crate::common::periodic::{Faces, repeated, triangles_within, unwrapped};
 use crate::common::scene::Random;
 use crate::common::shapes::{moved, sphere, union};
 use crate::common::watertight;
@@ -493,6 +493,9 @@ fn in_a_periodic_box_sized_particles_have_the_surface_of_explicit_copies() {
             found.len(),
             expected.len()
         );
+        let (positions, count) = unwrapped(&water.positions, faces);
+        let outside = Sized { positions, sizes: water.sizes.clone() };
+        assert!(count > 100 && outside.mesh(&request) == mesh, "{ends:?}: {count} outside");
         assert!(water.mesh(&request.threads(1).memory(MemoryBudget(24 << 20))) == mesh);
     }
     let narrow = request().periodic([Some([0.0, 112.0]), Some([0.0, 50.0]), None]);

@@ -20,7 +20,7 @@
 //! | | 4 x 8 | four numbers of particles: in cells, with positions that are not finite, too far from the grid's origin, outside the walls or the box |
 //! | if periodic | 6 x 8 | lower and upper corner of the box, f64; -inf and inf along an open axis |
 //! | | 4 | distance from the box, in cells, within which the pages include images of particles |
-//! | | 4 | 0 |
+//! | | 4 | number of particles that were wrapped into the box, at most 2^32 - 1 |
 //! | if several sizes | 8 | largest size, f64 |
 //! | | 8 | total volume of the particles in a unit of volume, deep in the fluid, f64; 0 if it is not known |
 //! | footer | 8 | number of pages |

@@ -405,15 +405,16 @@ fn read_facts(
         let count = cursor.u64("a number of particles")?;
         usize::try_from(count).map_err(|_| fault(&format!("{count} particles are too many")))
     };
-    let census = Census {
+    let mut census = Census {
         binned: particles()?,
         not_finite: particles()?,
         too_far: particles()?,
         outside: particles()?,
+        wrapped: 0,
     };
     let periodic = match flags & PERIODIC {
         0 => None,
-        _ => Some(read_periodic(cursor, &grid)?),
+        _ => Some(read_periodic(cursor, &grid, &mut census)?),
     };
     let facts = FrameFacts { grid, domain, periodic, census, spacing };
     let sizes = match flags & SIZES {
@@ -448,16 +449,21 @@ fn read_sizes(cursor: &mut Cursor<'_>, facts: &FrameFacts) -> Result<SizeFacts, 
     Ok(SizeFacts { octaves, coarsest, density })
 }
 
-/// Reads the periodic box. An open axis extends from -inf to inf.
-fn read_periodic(cursor: &mut Cursor<'_>, grid: &Grid) -> Result<Periodic, ReadFault> {
+/// Reads the periodic box, and the number of wrapped particles into `census`. An open axis extends
+/// from -inf to inf.
+fn read_periodic(
+    cursor: &mut Cursor<'_>,
+    grid: &Grid,
+    census: &mut Census,
+) -> Result<Periodic, ReadFault> {
     let at = cursor.at();
     let (lo, hi) = (read_point(cursor)?, read_point(cursor)?);
     let reach = cursor.u32("the reach of images")?;
-    let zero = cursor.u32("the end of a periodic box")?;
+    census.wrapped = cursor.u32("the number of wrapped particles")? as usize;
     let is_open = |a: usize| lo[a] == f64::NEG_INFINITY && hi[a] == f64::INFINITY;
     let faces = [0, 1, 2].map(|axis| (!is_open(axis)).then(|| [lo[axis], hi[axis]]));
     match i32::try_from(reach) {
-        Ok(reach @ 0..CELL_LIMIT) if zero == 0 => {
+        Ok(reach @ 0..CELL_LIMIT) if census.wrapped <= census.binned => {
             Periodic::new(grid, faces, reach).map_err(|e| malformed(at, e.to_string()))
         }
         _ => Err(malformed(at, "the periodic box is invalid")),

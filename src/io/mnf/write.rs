@@ -189,7 +189,7 @@ fn footer(facts: &FrameFacts, indicator: Indicator, more_flags: u32) -> Vec<u8> 
         let corners = [0, 1].map(|side: usize| faces.map(|faces| faces[side]));
         footer.extend(corners.as_flattened().iter().flat_map(|x| x.to_le_bytes()));
         footer.extend(periodic.reach().to_le_bytes());
-        footer.extend([0; 4]);
+        footer.extend(u32::try_from(census.wrapped).unwrap_or(u32::MAX).to_le_bytes());
     }
     footer
 }

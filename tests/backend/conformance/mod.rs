@@ -70,7 +70,8 @@ on_every_backend! {
     periodic:
         a_periodic_mesh_equals_the_mesh_of_repeated_particles
         the_surface_of_a_full_periodic_box_is_its_faces
-        a_periodic_mesh_is_the_same_on_every_backend;
+        a_periodic_mesh_is_the_same_on_every_backend
+        wrapped_particles_give_the_same_mesh_on_every_backend;
     sampled:
         the_plateau_of_sampled_blocks_equals_that_of_the_whole_pool;
     surfaces:

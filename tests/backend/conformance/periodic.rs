@@ -13,7 +13,7 @@ use meniscus::internals::surface::mesh::measure::measure;
 use meniscus::internals::system::timings::Timings;
 
 use super::TestBackend;
-use crate::common::periodic::{Faces, fluid, repeated, triangles_within};
+use crate::common::periodic::{Faces, fluid, repeated, triangles_within, unwrapped};
 use crate::common::{INDICATORS, surfacing};
 
 /// Settings for an indicator and a cell size, with particles 1 apart.
@@ -145,5 +145,21 @@ pub fn a_periodic_mesh_is_the_same_on_every_backend(backend: &TestBackend) {
             assert_watertight(&found, &format!("{kind:?}, {mesh:?}"));
             assert!(found == expected, "{kind:?}, cells of {cell}, {mesh:?}");
         }
+    }
+}
+
+pub fn wrapped_particles_give_the_same_mesh_on_every_backend(backend: &TestBackend) {
+    let edges = DVec3::new(31.0, 40.0, 29.0);
+    let faces = [Some([0.0, edges.x]), None, Some([0.0, edges.z])];
+    let inside = fluid(27, edges);
+    let (outside, count) = unwrapped(&inside, faces);
+    assert!(count > 100, "{count} particles outside the box");
+    for (kind, cell) in [(IndicatorKind::Cloud, 0.7), (IndicatorKind::Counting, 0.7)] {
+        let in_box = in_box(&sampling(backend, kind, cell), &surfacing(), faces);
+        let (found, _) = meshed(&outside, &in_box, &surfacing(), None);
+        let mut on_cpu = in_box.clone();
+        on_cpu.resources.backend = Backend::cpu();
+        let (expected, _) = meshed(&inside, &on_cpu, &surfacing(), None);
+        assert!(found == expected, "{kind:?}");
     }
 }

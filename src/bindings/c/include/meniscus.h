@@ -368,6 +368,9 @@ typedef struct MeniscusReport {
   uint32_t threads;
   // One of MeniscusSpacingSource.
   int32_t spacing_source;
+  // Number of particles that were at most one spacing outside the periodic box, and were moved
+  // into it by one period. They are among the particles that were used.
+  uint64_t wrapped;
 } MeniscusReport;
 
 // Defects and measures of a mesh, as `meniscus check` finds them. The caller sets `size`, and the
@@ -507,8 +510,8 @@ MeniscusStatus meniscus_convert(const char *const *inputs,
 // Returns MENISCUS_STATUS_REQUEST if arguments or options are invalid, or if the memory is not
 // sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if the particles have no
 // surface, or if the option "skip-invalid" is not set and a position is not finite, too far from
-// the grid's origin, or outside the periodic box. Returns MENISCUS_STATUS_OUTPUT if scratch files
-// cannot be written.
+// the grid's origin, or more than one spacing outside the periodic box. Returns
+// MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
 //
 // Pointers must be NULL or point to the described data; the particles must not change during the
 // call.

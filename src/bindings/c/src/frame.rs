@@ -94,8 +94,8 @@ unsafe fn with_file<T>(
 /// Returns MENISCUS_STATUS_REQUEST if arguments or options are invalid, or if the memory is not
 /// sufficient. Returns MENISCUS_STATUS_INPUT if there are no particles, if the particles have no
 /// surface, or if the option "skip-invalid" is not set and a position is not finite, too far from
-/// the grid's origin, or outside the periodic box. Returns MENISCUS_STATUS_OUTPUT if scratch files
-/// cannot be written.
+/// the grid's origin, or more than one spacing outside the periodic box. Returns
+/// MENISCUS_STATUS_OUTPUT if scratch files cannot be written.
 ///
 /// Pointers must be NULL or point to the described data; the particles must not change during the
 /// call.

@@ -67,6 +67,9 @@ pub struct MeniscusReport {
     pub threads: u32,
     /// One of MeniscusSpacingSource.
     pub spacing_source: i32,
+    /// Number of particles that were at most one spacing outside the periodic box, and were moved
+    /// into it by one period. They are among the particles that were used.
+    pub wrapped: u64,
 }
 
 // SAFETY: all fields are numbers.
@@ -109,6 +112,7 @@ impl From<&Report> for MeniscusReport {
                     SpacingSource::Estimated => MeniscusSpacingSource::Estimated,
                 },
             ) as i32,
+            wrapped: census.wrapped as u64,
         }
     }
 }

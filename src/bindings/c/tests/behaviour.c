@@ -69,6 +69,14 @@ static void copies_equal_arrays(void) {
   OK(meniscus_mesh_report(mesh, &report));
   CHECK(report.particles == COUNT && report.spacing == SPACING && report.cell_size == SPACING / 2);
   CHECK(report.spacing_source == MENISCUS_SPACING_SOURCE_GIVEN && report.threads >= 1 && report.seconds > 0);
+  CHECK(report.wrapped == 0);
+  meniscus_mesh_free(mesh);
+  // The particles of the cube's lowest layer are slightly below the periodic box.
+  options = OPTIONS("spacing", "0.05", "periodic", "-,0.03,-,-,1.53,-");
+  OK(meniscus_reconstruct(&particles, options, &mesh));
+  meniscus_options_free(options);
+  OK(meniscus_mesh_report(mesh, &report));
+  CHECK(report.particles == COUNT && report.wrapped == SIDE * SIDE);
   meniscus_mesh_free(mesh);
 }
 

@@ -44,7 +44,8 @@ use crate::work::{Work, with_progress};
 ///     Walls of a tank on which the surface ends exactly: x0, y0, z0, x1, y1, z1; None for an open
 ///     side. "auto" finds the walls.
 /// periodic : six floats or None, or two corners, optional
-///     A periodic box; None for both ends of an open axis.
+///     A periodic box; None for both ends of an open axis. Particles at most one spacing outside
+///     the box are moved into it by one period, and counted.
 /// periodic_mesh : "cut" or "overlap", optional
 ///     How the mesh ends at the faces of a periodic box.
 /// indicator : "cloud", "counting" or "symmetry", optional
@@ -55,9 +56,9 @@ use crate::work::{Work, with_progress};
 /// method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional
 ///     Discrete indicator functions, or a kernel method for comparison.
 /// skip_invalid : bool, optional
-///     Skip particles whose position is not finite, outside the periodic box, or more than 4.19
-///     million cells from the grid's origin along an axis, and report their number; without this,
-///     such particles are an error.
+///     Skip particles whose position is not finite, more than one spacing outside the periodic
+///     box, or more than 4.19 million cells from the grid's origin along an axis, and report their
+///     number; without this, such particles are an error.
 /// smooth : float, optional
 ///     Smoothing width, in spacings, 1.6 by default; larger is smoother, and 2 is good for noisy
 ///     FLIP particles.

@@ -29,6 +29,9 @@ use pyo3::prelude::*;
 /// not_finite, too_far, outside : int
 ///     Number of particles that were skipped because a coordinate is not finite, because they are
 ///     too far from the grid's origin, or because they are outside the domain or the periodic box.
+/// wrapped : int
+///     Number of particles that were at most one spacing outside the periodic box, and were moved
+///     into it by one period. They are among the particles that were used.
 /// lost : int
 ///     Lower bound on the number of particles outside the surface.
 /// too_small : int
@@ -57,6 +60,7 @@ pub struct Report {
     not_finite: usize,
     too_far: usize,
     outside: usize,
+    wrapped: usize,
     lost: u64,
     too_small: u64,
     whole_triangles: u64,
@@ -89,6 +93,7 @@ impl From<&meniscus::Report> for Report {
             not_finite: census.not_finite,
             too_far: census.too_far,
             outside: census.outside,
+            wrapped: census.wrapped,
             lost: found.lost,
             too_small: found.too_small.map_or(0, |small| small.total()),
             whole_triangles: found.whole_triangles,

@@ -74,6 +74,13 @@ def test_the_report_describes_the_reconstruction(ball: Any) -> None:
     dirty = np.concatenate([ball, [[np.nan, 0, 0], [1e300, 0, 0], [0, 90, 0]]])
     report = meniscus.reconstruct(dirty, spacing=1.0, skip_invalid=True, domain=(-9, -9, -9, 9, 9, 9)).report
     assert (report.not_finite, report.outside) == (1, 2) and report.particles == len(ball)
+    # The last particle is half a spacing outside the periodic box.
+    meshes = [
+        meniscus.reconstruct(np.concatenate([ball, [[x, 0, 0]]]), spacing=1.0, periodic=(-16, None, None, 16, None, None))
+        for x in (-15.5, 16.5)
+    ]
+    assert [mesh.report.wrapped for mesh in meshes] == [0, 1] and meshes[1].report.particles == len(ball) + 1
+    assert np.array_equal(meshes[0].vertices, meshes[1].vertices)
 
 
 def test_a_warning_in_a_loop_is_shown_once_even_if_numbers_differ(ball: Any) -> None:
