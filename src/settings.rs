@@ -211,7 +211,8 @@ settings! {
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
     /// position. If a file stores each type of particle separately, type=NAME selects one type:
     /// PartType1, for example, in SWIFT and GADGET snapshots, an array of PySPH, or a species of
-    /// openPMD. By default, gas is selected, or fluid if there is no gas.
+    /// openPMD. By default, the only type is selected, or the type called fluid, or gas if no other
+    /// type can be a liquid.
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
