@@ -34,7 +34,7 @@ pub use setting::{Conflict, SettingConflict};
 pub use simulation::{FPS, SimulationError, WhyOne};
 
 use crate::io::UnreadPart;
-use crate::particles::particle_count;
+use crate::particles::{AttributeInfo, attribute_called, particle_count};
 use crate::system::cancel::Cancelled;
 
 /// Anything that can go wrong between a particle file and a mesh file.
@@ -305,7 +305,12 @@ impl Error {
     #[must_use]
     pub(crate) fn with_skipped_part(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {
-            let is_missing = |part: &&UnreadPart| part.attribute() == Some(&**name);
+            // The request `velocity` also means a part with another name of the velocity, which has
+            // three components.
+            let is_missing = |part: &&UnreadPart| {
+                let info = part.attribute().map(|part| AttributeInfo::new(part, 3));
+                attribute_called(name, info.as_slice()).is_some()
+            };
             *left_out = parts.iter().find(is_missing).map(ToString::to_string);
         }
         self

@@ -90,6 +90,14 @@ impl Column {
     pub fn component(self, index: usize) -> Self {
         Self { offset: self.offset + index * self.scalar.size(), ..self }
     }
+
+    /// The number that `bytes`, from its first byte to its last, stores.
+    pub fn number(&self, bytes: &[u8]) -> f64 {
+        let mut number = [0.0];
+        let window = Window { particles: 0..1, rows: None, bytes };
+        self.decode::<f64, 1>(&window, &mut number, 1);
+        number[0]
+    }
 }
 
 /// The columns of a particle file. Their bytes are in memory, borrowed, or read from the file on

@@ -2,7 +2,9 @@
 //! which each array has one entry per particle.
 
 use super::error::{no_step, several_steps};
-use super::names::{Quantity, is_preferred_position, position_axis, quantities, without_unit};
+use super::names::{
+    Quantity, is_preferred_position, position_axis, quantities, time_arrays, without_unit,
+};
 use super::{ReadFault, UnreadPart, malformed};
 use crate::particles::velocity::velocity_rank;
 
@@ -74,8 +76,8 @@ pub struct Arrangement {
     pub position: LocatedQuantity,
     /// The other quantities with the same number of particles.
     pub attributes: Vec<LocatedQuantity>,
-    /// Arrays with too many numbers per particle, and arrays `x`, `y` and `z` whose length is not
-    /// the number of particles.
+    /// Arrays with too many numbers per particle, and arrays of numbers that do not match the
+    /// number of particles.
     pub left_out: Vec<UnreadPart>,
 }
 
@@ -266,11 +268,17 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         } else if let Some(numbers) = excessive_components(shape, rows, frames) {
             left_out.push(UnreadPart::WideArray { name: name.clone(), numbers });
         } else if ["x", "y", "z"].iter().any(|axis| name.eq_ignore_ascii_case(axis)) {
-            separate.push(name.clone());
+            separate.push((name, shape));
+        } else {
+            left_out.extend(other_shape(name, shape, rows, frames));
         }
     }
-    if let Ok(names) = separate.try_into() {
+    if let [(x, _), (y, _), (z, _)] = separate[..] {
+        let names = [x, y, z].map(String::clone);
         left_out.push(UnreadPart::Coordinates { names, position: position.name });
+    } else {
+        let parts = separate.into_iter();
+        left_out.extend(parts.filter_map(|(name, shape)| other_shape(name, shape, rows, frames)));
     }
     let found = columns.position();
     Ok(found.map(|(position, attributes)| Arrangement {
@@ -281,6 +289,22 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         attributes,
         left_out,
     }))
+}
+
+/// The report that an array does not match the number of particles. `None` for arrays that belong
+/// to whole frames: times, arrays of at most three numbers, such as a vector of gravity, and arrays
+/// of one number per frame.
+pub fn other_shape(
+    name: &str,
+    shape: &[u64],
+    particles: u64,
+    frames: Option<u64>,
+) -> Option<UnreadPart> {
+    let numbers = shape.iter().fold(1, |product: u64, &size| product.saturating_mul(size));
+    let is_per_frame = frames.is_some_and(|frames| *shape == [frames]);
+    let is_of_frames = numbers <= 3 || is_per_frame || time_arrays().any(|time| time == name);
+    let (name, shape) = (name.to_owned(), shape.to_vec());
+    (!is_of_frames).then_some(UnreadPart::OtherShape { name, shape, particles, frames })
 }
 
 /// The number of values per particle of an array, if this number exceeds [`MOST_COMPONENTS`].

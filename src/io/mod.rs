@@ -63,8 +63,8 @@ pub mod xyz;
 
 use std::fmt;
 
-use crate::particles::AttributeInfo;
 use crate::particles::selection::SelectionFault;
+use crate::particles::{AttributeInfo, VELOCITY_NAMES};
 
 pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
@@ -148,6 +148,17 @@ pub enum UnreadPart {
         /// Number of values per particle.
         numbers: u64,
     },
+    /// An array whose shape does not match the number of particles or frames.
+    OtherShape {
+        /// The array's name.
+        name: String,
+        /// Sizes of the array's axes.
+        shape: Vec<u64>,
+        /// Number of particles in each frame.
+        particles: u64,
+        /// Number of frames, if the positions have an axis for frames.
+        frames: Option<u64>,
+    },
     /// The name of an array of cell data that the reader does not use as point data.
     CellData(String),
     /// Arrays `x`, `y` and `z` whose length is not the number of particles.
@@ -165,13 +176,29 @@ impl UnreadPart {
     pub fn attribute(&self) -> Option<&str> {
         match self {
             Self::Attribute(info) => Some(&info.name),
-            Self::WideArray { name, .. } | Self::CellData(name) => Some(name),
+            Self::WideArray { name, .. } | Self::OtherShape { name, .. } | Self::CellData(name) => {
+                Some(name)
+            }
             Self::Block { .. }
             | Self::Names(_)
             | Self::Primitives { .. }
             | Self::Times { .. }
             | Self::RepeatedStep
             | Self::Coordinates { .. } => None,
+        }
+    }
+
+    /// Whether a warning should name this part. An array of another shape usually does not belong
+    /// to the particles, so a warning names it only if its name is common among their attributes.
+    #[must_use]
+    pub fn is_unexpected(&self) -> bool {
+        match self {
+            Self::OtherShape { name, .. } => {
+                names::names_other_column(name)
+                    || names::is_other_component(name)
+                    || VELOCITY_NAMES.contains(&&**name)
+            }
+            _ => true,
         }
     }
 }
@@ -214,6 +241,16 @@ impl fmt::Display for UnreadPart {
                  supported)",
                 fields::MOST_COMPONENTS
             ),
+            Self::OtherShape { name, shape, particles, frames } => {
+                let shape = fields::shown(shape);
+                let of_each =
+                    frames.map_or(String::new(), |frames| format!(" in each of {frames} frames"));
+                write!(
+                    f,
+                    "array {name:?} of shape {shape}, which does not match the number of particles \
+                     ({particles}{of_each})"
+                )
+            }
             Self::CellData(name) => write!(f, "cell data {name:?}; convert it to point data"),
             Self::Coordinates { names: [x, y, z], position } => write!(
                 f,

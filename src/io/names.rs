@@ -97,6 +97,12 @@ const AXIS_FIRST: [&str; 7] = ["coordinate", "coord", "position", "pos", "p", "m
 /// `TimeValue`, older readers of VTK expect `TIME`, and simulations also use the other names.
 pub const TIMES: [&str; 5] = ["TimeValue", "time", "Time", "TIME", "t"];
 
+/// Names of an array that contains the time of a frame or the times of all frames, in order of
+/// preference.
+pub fn time_arrays() -> impl Iterator<Item = &'static str> {
+    TIMES.into_iter().chain(["times"])
+}
+
 /// Name of a colour whose components are separate columns.
 pub const COLOUR: &str = "color";
 /// Names of the columns of a colour; the fourth is optional.

@@ -251,7 +251,7 @@ impl NpyHeader {
     }
 
     /// Number of elements.
-    fn elements(&self) -> u64 {
+    pub fn elements(&self) -> u64 {
         self.shape.iter().fold(1, |product: u64, &size| product.saturating_mul(size))
     }
 
@@ -291,6 +291,14 @@ impl NpyHeader {
             rest /= sizes[axis];
         }
         Column { offset, stride: strides[rows], scalar: member.scalar, endian: member.endian }
+    }
+
+    /// The column of the numbers of an array with at most one axis, or of an array of shape (1, 1).
+    /// The first number is at byte `at`. `None` for other arrays.
+    pub fn list(&self, at: usize) -> Option<Column> {
+        let is_list = matches!(self.shape[..], [] | [_] | [1, 1]) && !self.is_structured();
+        let StructMember { scalar, endian, .. } = *self.members.first().filter(|_| is_list)?;
+        Some(Column { offset: at, stride: scalar.size(), scalar, endian })
     }
 
     /// Distances, in bytes, between neighbouring numbers along each axis.

@@ -1,10 +1,9 @@
 //! Reads NumPy's .npz: a zip archive of .npy arrays. Each array is a quantity, with one row per
 //! particle.
 //!
-//! Uncompressed arrays (`np.savez`) are read in place. If an array of the position or of an
-//! attribute is compressed (`np.savez_compressed`), all arrays of the position and the attributes
-//! are unpacked first, and none is read in place. In both cases, the reader verifies the checksums
-//! of these arrays.
+//! Uncompressed arrays (`np.savez`) are read in place. If an array of the position, of an attribute
+//! or of the times is compressed (`np.savez_compressed`), all of these arrays are unpacked first,
+//! and none is read in place. In both cases, the reader verifies the checksums of these arrays.
 
 use std::io::Read;
 
@@ -21,6 +20,7 @@ use super::fields::{
     Arrangement, ColumnIndex, LocatedQuantity, NamedArray, advice_on_plane, arrange, only_vector,
     shown,
 };
+use super::names::time_arrays;
 use super::npy::{NpyHeader, POSITION};
 use super::{ParticleFile, ReadFault, malformed};
 
@@ -39,6 +39,7 @@ const LISTED: usize = 20;
 /// number of a frame.
 ///
 /// Every other numeric array with N rows is an attribute. `vx`, `vy` and `vz` form one attribute.
+/// An array `time`, `times` or `t` with one number per frame contains the times.
 ///
 /// # Errors
 /// [`ReadFault::Compression`] for a damaged archive or a compression ratio that is too high,
@@ -54,7 +55,7 @@ pub fn read_particles(
     let contents = Contents::of(&arrays);
     let arranged = arranged(&contents.fields)?.ok_or_else(|| no_position(&arrays, &contents))?;
     let frame = arranged.frame(step)?;
-    let Arrangement { rows, axes, position, attributes, left_out, .. } = arranged;
+    let Arrangement { rows, frames, axes, position, attributes, left_out } = arranged;
     for place in &position.places {
         let (array, member) = contents.sources[place.field];
         arrays[array].header.expect_position(member)?;
@@ -63,6 +64,8 @@ pub fn read_particles(
     for place in position.places.iter().chain(attributes.iter().flat_map(|found| &found.places)) {
         needed[contents.sources[place.field].0] = true;
     }
+    let times = times(&arrays, frames.unwrap_or(1));
+    times.into_iter().for_each(|array| needed[array] = true);
     let (unpacked, starts) = unless_changed(&bytes, unpack(&bytes, &arrays, &needed, unpacking))?;
     let column = |place: &ColumnIndex| {
         let (array, member) = contents.sources[place.field];
@@ -78,9 +81,21 @@ pub fn read_particles(
     });
     let attributes = attributes.collect();
     let bytes = unpacked.map_or(bytes, Bytes::Kept);
+    let time = times.map(|array| arrays[array].number(&bytes, starts[array], frame)).transpose()?;
+    let time = time.flatten().filter(|time| time.is_finite());
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(rows as usize), position, attributes);
-    Ok(ParticleFile { left_out, ..ParticleFile::new(particles, "NumPy .npz") })
+    Ok(ParticleFile { time, left_out, ..ParticleFile::new(particles, "NumPy .npz") })
+}
+
+/// The index of the array that contains the times of `frames` frames.
+fn times(arrays: &[NpzArray], frames: u64) -> Option<usize> {
+    let called = |name: &str| arrays.iter().position(|array| array.name == name);
+    let has_all = |array: &usize| {
+        let header = &arrays[*array].header;
+        header.list(0).is_some() && header.elements() == frames
+    };
+    time_arrays().find_map(called).filter(has_all)
 }
 
 /// The numbers of the frames in an archive whose arrays have several frames. Empty for a single
@@ -104,6 +119,17 @@ struct NpzArray {
     stored_at: Option<u64>,
     /// Unpacked size, in bytes, including the header.
     bytes: u64,
+}
+
+impl NpzArray {
+    /// The number at `index` of an array with at most one axis, whose file starts at byte `start`.
+    /// `None` for other arrays.
+    fn number(&self, bytes: &Bytes, start: usize, index: u64) -> Result<Option<f64>, ReadFault> {
+        let Some(column) = self.header.list(start + self.header.start) else { return Ok(None) };
+        let at = column.offset + index as usize * column.stride;
+        let number = bytes.view().read(at..at + column.stride)?;
+        Ok(Some(column.number(&number)))
+    }
 }
 
 /// The named fields of all arrays: plain arrays, and members of structures.

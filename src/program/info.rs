@@ -13,7 +13,7 @@ use meniscus::{Error, Settings, Where};
 
 use super::advice::all_or_last;
 use super::notes::{Verdict, corners, point, print, print_json};
-use super::report::counted;
+use super::report::{counted, type_read};
 
 #[derive(Args)]
 pub struct InfoOptions {
@@ -92,13 +92,8 @@ fn describe(info: &Info) -> String {
             ..
         }) => {
             line("particles", particles.to_string());
-            match &particle_types[..] {
-                [] => {}
-                [only] => line("type", format!("{only} (the only one)")),
-                [read, others @ ..] => {
-                    line("type", format!("{read}; not read: {}", others.join(", ")))
-                }
-            }
+            let only = || particle_types.first().map(|only| format!("{only} (the only one)"));
+            type_read(particle_types).or_else(only).into_iter().for_each(|read| line("type", read));
             if *not_finite > 0 {
                 line("not finite", not_finite.to_string());
             }

@@ -20,15 +20,26 @@ pub fn counted(number: u64, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
+/// Describes which of the particle types in a file was read, which is the first, and which were
+/// not. `None` if the file has no other types.
+pub fn type_read(types: &[String]) -> Option<String> {
+    match types {
+        [] | [_] => None,
+        [read, others @ ..] => Some(format!("{read} (not read: {})", others.join(", "))),
+    }
+}
+
+/// The number of particles in a file, its format, and the type that was read.
+pub fn contents(particles: usize, format: &str, types: &[String]) -> String {
+    let read = type_read(types).map_or(String::new(), |read| format!(", type {read}"));
+    format!("{}, {format}{read}", counted(particles as u64, "particle"))
+}
+
 /// Prints the number of particles in the opened inputs, what was left out, and the chosen cells.
 pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
-    notes.say(format!(
-        "{}: {}, {}",
-        names.join(" and "),
-        counted(opened.particles() as u64, "particle"),
-        opened.format()
-    ));
+    let contents = contents(opened.particles(), opened.format(), opened.particle_types());
+    notes.say(format!("{}: {contents}", names.join(" and ")));
     if opened.ghosts() > 0 {
         notes.say(format!(
             "{} left out, because they are copies of particles in other pieces",
@@ -39,7 +50,8 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
         let all = opened.particles() + opened.unselected();
         notes.say(format!("{} of {all} particles left out by --where", opened.unselected()));
     }
-    opened.left_out().iter().for_each(|part| notes.warn(&format!("meniscus left out {part}")));
+    let parts = opened.left_out().iter().filter(|part| part.is_unexpected());
+    parts.for_each(|part| notes.warn(&format!("meniscus left out {part}")));
     if let Some(cells) = opened.cells() {
         report_cells(cells, opened.indicator(), opened.moved_to(), notes);
     }

@@ -15,7 +15,7 @@ use super::notes::Notes;
 use super::notes::{Verdict, print};
 use super::options::ReconstructOptions;
 use super::progress::{ProgressBars, ProgressMode};
-use super::report::{counted, report_census, report_device, too_small, warn_all};
+use super::report::{counted, report_census, report_device, too_small, type_read, warn_all};
 use super::stats::{of_failed, of_frame, of_missing};
 
 /// Runs `meniscus reconstruct` for each simulation in the inputs.
@@ -43,6 +43,7 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         options,
         notes,
         bars: None,
+        types: BTreeSet::new(),
         repeated: BTreeMap::new(),
         stats_error: None,
         is_incomplete: false,
@@ -84,6 +85,8 @@ struct Listener<'a> {
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
     bars: Option<(ProgressBars, Notes)>,
+    /// Descriptions of the particle types that frames have, each of which is printed once.
+    types: BTreeSet<String>,
     /// Warnings that usually concern all frames, each with the number of frames that have it.
     repeated: BTreeMap<String, usize>,
     /// The first error while writing the statistics.
@@ -160,6 +163,11 @@ impl Listener<'_> {
     }
 
     fn done(&mut self, done: &FrameDone) {
+        if let Some(read) = type_read(&done.particle_types)
+            && self.types.insert(read.clone())
+        {
+            self.notes().say(format!("{}: type {read}", done.input.display()));
+        }
         for warning in &done.warnings {
             if let Warning::LeftOut(_) | Warning::Renamed { .. } | Warning::Coarse { .. } = warning
             {

@@ -201,8 +201,8 @@ impl Reconstruction {
     /// Uses only particles that satisfy conditions on their attributes.
     ///
     /// If an input has several types of particles, `type` selects one, such as `PartType1` of a
-    /// snapshot, an array of PySPH, or a species of openPMD. The default is gas, `fluid`, or the
-    /// only type.
+    /// snapshot, an array of PySPH, or a species of openPMD. The default is the only type, the
+    /// type `fluid`, or gas if no other type can be a liquid.
     ///
     /// ```
     /// use meniscus::{Cloud, Reconstruction, Where};

@@ -448,6 +448,8 @@ fn warnings(all: &mut String) {
         Times { column: "time".into(), count: 3, first: "0".into(), last: "0.5".into() },
         RepeatedStep,
         WideArray { name: "spectrum".into(), numbers: 100 },
+        OtherShape { name: "vel".into(), shape: vec![95, 3], particles: 100, frames: None },
+        OtherShape { name: "vel".into(), shape: vec![4, 95, 3], particles: 100, frames: Some(4) },
         CellData("density".into()),
         Coordinates { names: ["x", "y", "z"].map(String::from), position: "pos".into() },
     );

@@ -186,6 +186,16 @@ impl OpenedFrame {
         }
     }
 
+    /// The names of the particle types in the input. The first is the type that is read. Empty for a
+    /// packed frame, and if the input has a single type without a name.
+    #[must_use]
+    pub fn particle_types(&self) -> &[String] {
+        match &self.input {
+            Input::Particles { file, .. } => &file.particle_types,
+            Input::Packed(_) => &[],
+        }
+    }
+
     /// The chosen cells; `None` for a packed frame, whose cells were chosen when it was packed.
     #[must_use]
     pub fn cells(&self) -> Option<&Cells> {

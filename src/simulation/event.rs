@@ -125,6 +125,9 @@ pub struct FrameDone {
     pub mesh: SeriesFrame,
     /// The frame's time, in seconds, from the frame's file or from the frame rate.
     pub time: Option<f64>,
+    /// Names of the particle types in the particle file. The first is the type that was read. Empty
+    /// for a packed frame, and if the file has a single type without a name.
+    pub particle_types: Vec<String>,
     /// A report on the surface; `None` if the frame has no particles.
     pub report: Option<Report>,
     /// Lower bound on the number of particles outside the surface.

@@ -153,7 +153,8 @@ impl Setup<'_> {
         };
         let file = largest.open(checked.wanted(), unpacking)?;
         let carried = checked.settings.carried(&file.particles, Some(self.format(largest)?));
-        let carried = carried.map_err(|error| error.of_file(path))?;
+        let carried =
+            carried.map_err(|error| error.of_file(path).with_skipped_part(&file.left_out))?;
         let (sampling, _) = self.sampling(shared, &file.particles, carried, resources.clone())?;
         let in_file = |fault| Error::from(fault).of_file(path);
         let mut timings = Timings::default();

@@ -38,6 +38,7 @@ use crate::system::timings::Timings;
 pub(super) struct ConvertedFrame {
     pub(super) mesh: SeriesFrame,
     pub(super) time: Option<f64>,
+    pub(super) particle_types: Vec<String>,
     pub(super) report: Option<Report>,
     pub(super) left_out: OmittedCounts,
     pub(super) warnings: Vec<Warning>,
@@ -83,6 +84,7 @@ struct MeshableFrame<'a> {
     /// `None` if the frame has no particles.
     frame: Option<Engine>,
     left_out: OmittedCounts,
+    particle_types: Vec<String>,
     /// Warnings about the input.
     warnings: Vec<Warning>,
     /// The attributes of the vertices.
@@ -159,9 +161,9 @@ impl Conversion<'_> {
         let meshable = match particles {
             Some(file) => self.sample(checked, frame, file, shared, &mut timings),
             None => self.unpack(checked, path, shared, &mut timings),
-        };
-        let MeshableFrame { frame: sampled, mut left_out, mut warnings, infos, time, permit } =
-            meshable?;
+        }?;
+        let MeshableFrame { frame: sampled, infos, time, permit, particle_types, .. } = meshable;
+        let (mut left_out, mut warnings) = (meshable.left_out, meshable.warnings);
         let (mesh, precision, mut report) = match &sampled {
             Some(sampled) => {
                 let extract = || Self::surface(checked, path, sampled, shared, infos, &mut timings);
@@ -223,8 +225,15 @@ impl Conversion<'_> {
         }
         let fingerprint = settled.fingerprint;
         let record = Record { input, fingerprint, mesh: listed.clone(), crc: file.crc() };
-        let done =
-            ConvertedFrame { mesh: listed, time: shown, report, left_out, warnings, seconds };
+        let done = ConvertedFrame {
+            mesh: listed,
+            time: shown,
+            particle_types,
+            report,
+            left_out,
+            warnings,
+            seconds,
+        };
         Ok(WrittenFrame { file, temporary, target, replaces, record, small, done })
     }
 
@@ -275,6 +284,7 @@ impl Conversion<'_> {
         Ok(MeshableFrame {
             frame: Some(frame),
             left_out: OmittedCounts::default(),
+            particle_types: Vec::new(),
             warnings: Vec::new(),
             infos: Vec::new(),
             time: None,
@@ -298,7 +308,8 @@ impl Conversion<'_> {
             .map(|whole| self.frame_budget(checked, whole));
         let opening = Resources { budget: self.division.opening, ..resources.clone() };
         let carried = settings.carried(&file.particles, Some(self.format));
-        let carried = carried.map_err(|error| error.of_file(path))?;
+        let carried =
+            carried.map_err(|error| error.of_file(path).with_skipped_part(&file.left_out))?;
         let alike = AlikeParticles::of(&file.particles, &carried, &shared.kinds);
         let particles = alike.map_err(|fault| in_file(fault.into()))?;
         let infos = known_of(&particles, &carried, &shared.kinds);
@@ -350,12 +361,14 @@ impl Conversion<'_> {
             }
         };
         let left_out = OmittedCounts { unselected: file.unselected as u64, ..census.into() };
-        let parts = file.left_out.iter().cloned().map(Warning::LeftOut);
+        let parts = file.left_out.iter().filter(|part| part.is_unexpected()).cloned();
+        let parts = parts.map(Warning::LeftOut);
         let none_selected = file.none_selected.clone().map(Warning::NoneSelected);
         let of_sizes = of_sizes.map(Warning::Spacing);
         let of_input = none_selected.into_iter().chain(parts).chain(missing).chain(alpha);
         let warnings = wall_warnings.into_iter().chain(of_sizes).chain(of_input).collect();
-        Ok(MeshableFrame { frame, left_out, warnings, infos, time: file.time, permit })
+        let (time, particle_types) = (file.time, file.particle_types.clone());
+        Ok(MeshableFrame { frame, left_out, particle_types, warnings, infos, time, permit })
     }
 
     /// Returns how much of a lane's memory is for the frame itself. The rest is for simplifying,

@@ -141,7 +141,8 @@ impl<'a> Tally<'a> {
         self.done += 1;
         self.awaited.remove(&frame.number);
         match result {
-            Ok(ConvertedFrame { mesh, time, report, left_out, warnings, seconds }) => {
+            Ok(converted) => {
+                let ConvertedFrame { mesh, time, particle_types, report, left_out, .. } = converted;
                 self.left_out.add(&left_out);
                 self.failed.remove(&frame.number);
                 let done = FrameDone {
@@ -150,10 +151,11 @@ impl<'a> Tally<'a> {
                     output: setup.shown_output(frame),
                     mesh,
                     time,
+                    particle_types,
                     report,
                     lost: left_out.lost,
-                    warnings,
-                    seconds,
+                    warnings: converted.warnings,
+                    seconds: converted.seconds,
                     progress: self.counts_after(frame),
                 };
                 self.listed.insert(frame.number, done.mesh.clone());

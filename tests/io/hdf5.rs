@@ -14,7 +14,7 @@ use meniscus::{Error, Reconstruction};
 
 use crate::common::files;
 use crate::common::particle_files::{attribute, positions};
-use crate::common::program::command;
+use crate::common::program::{command, run};
 
 fn data(name: &str) -> PathBuf {
     files::data("h5").join(name)
@@ -163,6 +163,102 @@ fn the_type_that_is_called_a_fluid_is_read_by_default() {
         );
         assert_eq!(open_where(name, &format!("type={other}")).unwrap().particles.len(), 4);
     }
+}
+
+#[test]
+fn a_gas_is_not_read_by_default_if_another_type_may_be_a_liquid() {
+    for name in ["gas_groups.h5", "gas_pysph.hdf5", "gas_openpmd.h5"] {
+        let error = open(name).unwrap_err();
+        assert!(
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains("gas, liquid")),
+            "{error}"
+        );
+        let liquid = open_where(name, "type=liquid").unwrap();
+        assert_eq!(positions(&liquid), points(0.0), "{name}");
+        assert_eq!(liquid.particle_types, ["liquid", "gas"], "{name}");
+        assert_eq!(open_where(name, "type=gas").unwrap().particles.len(), 4, "{name}");
+    }
+}
+
+#[test]
+fn groups_of_the_root_that_are_called_by_numbers_are_frames() {
+    assert_eq!(steps(&data("numbers.h5"), None).unwrap(), [9, 10, 11]);
+    let ten = open("numbers.h5#10").unwrap();
+    assert_eq!((positions(&ten), ten.time), (points(10.0), Some(2.5)));
+    assert_eq!(ten.particle_types, ["fluid", "wall"]);
+    for (name, message) in [("numbers.h5", "steps 9 to 11"), ("numbers.h5#8", "no step 8")] {
+        let error = open(name).unwrap_err();
+        assert!(
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(message)),
+            "{error}"
+        );
+    }
+    // The names may also be those of types: the groups have different members, or there is another
+    // group of particles.
+    for (name, types) in [("number_types.h5", "0, 1"), ("number_walls.h5", "0, 1, wall")] {
+        assert!(steps(&data(name), None).unwrap().is_empty(), "{name}");
+        let error = open(name).unwrap_err();
+        assert!(
+            matches!(&error.fault, ReadFault::Unsupported(what) if what.contains(types)),
+            "{error}"
+        );
+    }
+}
+
+fn other_shape(name: &str, shape: &[u64]) -> UnreadPart {
+    UnreadPart::OtherShape { name: name.into(), shape: shape.into(), particles: 60, frames: None }
+}
+
+#[test]
+fn arrays_that_do_not_match_the_number_of_particles_are_named() {
+    let file = open("shapes.h5").unwrap();
+    assert_eq!(names(&file), [("mass", 1)]);
+    assert_eq!(file.left_out, [other_shape("bounds", &[2, 3]), other_shape("vel", &[55, 3])]);
+    let is_unexpected: Vec<_> = file.left_out.iter().map(UnreadPart::is_unexpected).collect();
+    assert_eq!(is_unexpected, [false, true]);
+    for (name, shape) in [
+        ("gas_pysph.hdf5", other_shape("gradient", &[540])),
+        ("gas_openpmd.h5", other_shape("mass", &[55])),
+    ] {
+        assert_eq!(open_where(name, "type=liquid").unwrap().left_out, [shape], "{name}");
+    }
+    for requested in ["vel", "velocity", "bounds"] {
+        let request = Reconstruction::new().spacing(1.0).attributes([requested]);
+        let error = request.run_file(data("shapes.h5")).unwrap_err();
+        assert!(matches!(&error, Error::NoAttribute { left_out: Some(_), .. }), "{error}");
+    }
+}
+
+#[test]
+fn a_frame_with_an_array_of_another_length_gives_a_warning() {
+    let folder = tempfile::tempdir().unwrap();
+    fs::copy(data("shapes.h5"), folder.path().join("shapes.h5")).unwrap();
+    let arguments = ["reconstruct", "shapes.h5", "-o", "m.ply", "--spacing", "0.25"];
+    let messages = run(folder.path(), &arguments, 0);
+    assert!(messages.contains("warning: meniscus left out array \"vel\""), "{messages}");
+    assert!(!messages.contains("bounds"), "{messages}");
+}
+
+#[test]
+fn messages_name_the_type_that_was_read_once_per_conversion() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["fluid.h5", "numbers.h5"] {
+        fs::copy(data(name), folder.path().join(name)).unwrap();
+    }
+    let reconstruct = |input: &str, output: &str| {
+        let arguments = ["reconstruct", input, "-o", output, "--spacing", "0.25"];
+        run(folder.path(), &arguments, 0)
+    };
+    let messages = reconstruct("fluid.h5", "m.ply");
+    let line = "fluid.h5: 60 particles, HDF5, type Fluid (not read: boundary)\n";
+    assert!(messages.contains(line), "{messages}");
+    let messages = reconstruct("numbers.h5", "m/");
+    assert_eq!(messages.matches("type fluid (not read: wall)\n").count(), 1, "{messages}");
+    assert_eq!(fs::read_dir(folder.path().join("m")).unwrap().filter(is_mesh).count(), 3);
+}
+
+fn is_mesh(entry: &std::io::Result<fs::DirEntry>) -> bool {
+    entry.as_ref().is_ok_and(|entry| entry.path().extension().is_some_and(|end| end == "ply"))
 }
 
 #[test]

@@ -696,6 +696,67 @@ fn npz_positions_are_preferred_to_coordinates_and_grid_axes() {
 }
 
 #[test]
+fn npz_frames_have_the_times_of_an_array_of_that_length() {
+    let points = tuples(6);
+    let doubles = |shape: &str, values: &[f64]| {
+        let bytes = values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+        [build::npy_header("<f8", false, shape), bytes].concat()
+    };
+    let frames = doubles("(2, 3, 3)", points.as_flattened());
+    let single = build::npy(&points, "<f8", false);
+    let whole = |times: [i16; 2]| {
+        let bytes = times.iter().flat_map(|x| x.to_be_bytes()).collect::<Vec<_>>();
+        [build::npy_header(">i2", false, "(2,)"), bytes].concat()
+    };
+    for compression in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        let time = |pos: &Vec<u8>, step, name: &str, times: Vec<u8>| {
+            let archive = build::npz(&[("pos", pos.clone()), (name, times)], compression);
+            let file = npz::read_particles(archive.into(), step, Unpacking::in_memory()).unwrap();
+            assert!(attributes(&file).is_empty() && file.left_out.is_empty(), "{name}");
+            file.time
+        };
+        for (step, expected) in [(0, 0.25), (1, -4.0)] {
+            let step = Some(step);
+            let of_frames = |name, times| time(&frames, step, name, times);
+            assert_eq!(of_frames("time", doubles("(2,)", &[0.25, -4.0])), Some(expected));
+            assert_eq!(of_frames("times", whole([1, -16])), Some(4.0 * expected));
+            assert_eq!(of_frames("time", doubles("(4,)", &[0.25, -4.0, 7.0, 8.0])), None);
+            assert_eq!(of_frames("speeds", doubles("(2,)", &[0.25, -4.0])), None);
+            assert_eq!(of_frames("t", doubles("(2,)", &[f64::NAN; 2])), None);
+        }
+        for (shape, values, expected) in [
+            ("()", &[0.5][..], Some(0.5)),
+            ("(1,)", &[0.5], Some(0.5)),
+            ("(1, 1)", &[0.5], Some(0.5)),
+            ("(2,)", &[0.5, 1.0], None),
+        ] {
+            let found = time(&single, None, "time", doubles(shape, values));
+            assert_eq!(found, expected, "{shape}");
+        }
+    }
+}
+
+#[test]
+fn npz_arrays_that_do_not_match_the_particles_are_named() {
+    let points = tuples(6);
+    let bytes = points.as_flattened().iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
+    let frames = [build::npy_header("<f8", false, "(3, 2, 3)"), bytes].concat();
+    let vel = build::npy(&tuples(5), "<f4", false);
+    let part = |particles, frames| {
+        let (name, shape) = ("vel".to_owned(), vec![5, 3]);
+        vec![UnreadPart::OtherShape { name, shape, particles, frames }]
+    };
+    for (pos, step, expected) in [
+        (build::npy(&points, "<f8", false), None, part(6, None)),
+        (frames, Some(1), part(2, Some(3))),
+    ] {
+        let archive = build::npz(&[("pos", pos), ("vel", vel.clone())], CompressionMethod::Stored);
+        let file = npz::read_particles(archive.into(), step, Unpacking::in_memory()).unwrap();
+        assert_eq!(file.left_out, expected);
+    }
+}
+
+#[test]
 fn numpy_arrays_may_contain_frames_or_have_components_first() {
     let points = tuples(6);
     let numbers = |values: &[f64]| values.iter().flat_map(|x| x.to_le_bytes()).collect::<Vec<_>>();
@@ -713,6 +774,7 @@ fn numpy_arrays_may_contain_frames_or_have_components_first() {
         );
         let npz = npz::read_particles(numbers.into(), Some(step), Unpacking::in_memory()).unwrap();
         assert_eq!((positions(&npz), attributes(&npz)), (expected.to_vec(), vec![("mass", 1)]));
+        assert_eq!((npz.time, npz.left_out), (None, vec![]));
     }
     for step in [None, Some(2)] {
         let fault = npy::read_particles(frames.clone().into(), step).unwrap_err();

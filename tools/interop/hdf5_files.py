@@ -88,3 +88,40 @@ layout = h5py.VirtualLayout((60, 3), "f8")
 layout[:] = h5py.VirtualSource("fluid.h5", "Fluid/position", shape=(60, 3))
 with h5py.File(f"{folder}/virtual.h5", "w", libver="latest") as file:
     file.create_virtual_dataset("pos", layout)
+# A gas and a liquid: as groups, as arrays of PySPH and as species of openPMD. Some arrays have
+# other lengths than the positions.
+with h5py.File(f"{folder}/gas_groups.h5", "w", libver="latest") as file:
+    file["gas/position"] = np.zeros((4, 3), "f4")
+    file["liquid/position"] = points
+with h5py.File(f"{folder}/gas_pysph.hdf5", "w", libver="latest") as file:
+    file.create_group("solver_data").attrs["t"] = 0.5
+    for name, positions in (("gas", np.zeros((4, 3))), ("liquid", points)):
+        arrays = file.create_group(f"particles/{name}/arrays")
+        for axis, coordinate in enumerate("xyz"):
+            arrays[coordinate] = positions[:, axis]
+        arrays["au"] = np.zeros(0, "f4")
+        arrays["gradient"] = np.zeros(9 * len(positions), "i1")
+with h5py.File(f"{folder}/gas_openpmd.h5", "w", libver="latest") as file:
+    file.attrs["openPMD"], file.attrs["basePath"] = "1.1.0", "/data/%T/"
+    file.attrs["particlesPath"] = "particles/"
+    for species, positions in (("gas", np.zeros((4, 3))), ("liquid", points)):
+        for axis, name in enumerate("xyz"):
+            file[f"data/0/particles/{species}/position/{name}"] = positions[:, axis]
+        file[f"data/0/particles/{species}/mass"] = np.ones(55, "f4")
+with h5py.File(f"{folder}/shapes.h5", "w", libver="latest") as file:
+    file["pos"], file["vel"] = points, np.zeros((55, 3), "f4")
+    file["mass"], file["bounds"] = np.ones(60, "f4"), np.zeros((2, 3))
+# Groups whose names are bare numbers: frames, types of particles, and frames next to a wall.
+with h5py.File(f"{folder}/numbers.h5", "w", libver="latest") as file:
+    for number in (9, 10, 11):
+        frame = file.create_group(f"{number}")
+        frame["time"] = number / 4
+        frame["fluid/position"] = points + number
+        frame["wall/position"] = np.zeros((4, 3), "f4")
+    file["units/length"] = [1.0]
+with h5py.File(f"{folder}/number_types.h5", "w", libver="latest") as file:
+    file["0/position"] = file["1/position"] = np.zeros((4, 3), "f4")
+    file["1/velocity"] = np.zeros((4, 3), "f4")
+with h5py.File(f"{folder}/number_walls.h5", "w", libver="latest") as file:
+    for name in ("0", "1", "wall"):
+        file[f"{name}/position"] = np.zeros((4, 3), "f4")

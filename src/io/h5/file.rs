@@ -10,7 +10,7 @@ use hdf5_reader::messages::layout::DataLayout;
 use hdf5_reader::{Dataset, FilterRegistry, Hdf5File, OpenOptions, Storage, StorageBuffer};
 
 use crate::io::bytes::{Bytes, Unpacking, unpacked_limit};
-use crate::io::names::TIMES;
+use crate::io::names::{TIMES, time_arrays};
 use crate::io::{ReadFault, malformed};
 
 use super::lzf;
@@ -162,7 +162,7 @@ pub(super) fn time_of(group: &Group) -> Option<f64> {
 /// single time.
 pub(super) fn times_in(group: &Group, frame: Option<(u64, u64)>) -> Option<f64> {
     let (_, sets) = group.member_names().ok()?;
-    let set = TIMES.iter().chain(&["times"]).find_map(|name| {
+    let set = time_arrays().find_map(|name| {
         let name = sets.iter().find(|set| *set == name)?;
         group.dataset(name).ok()
     })?;

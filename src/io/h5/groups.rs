@@ -18,9 +18,6 @@ use super::file::{H5File, convert_error, time_of, times_in};
 use super::h5md;
 use super::table::{H5Array, H5Table, RowPart, chosen_type, scalar, types};
 
-/// The type of particles that is read by default, which is gas in snapshots.
-const DEFAULT_TYPE: &str = "PartType0";
-
 /// A group, or a table in a group, that contains positions of particles.
 pub(super) struct GroupCandidate {
     /// Path relative to the searched group. `/` for the searched group itself.
@@ -196,9 +193,9 @@ impl GroupSearch {
     /// Returns one candidate, and the names of all candidates.
     ///
     /// This function chooses the only candidate, or the candidate that a condition names. If there
-    /// are several candidates and no condition names one, it chooses `PartType0`, or else the only
-    /// candidate that is called fluid or gas. The name of the chosen candidate comes first in the
-    /// list. The list is empty if there is only one candidate and no condition names it.
+    /// are several candidates and no condition names one, [`chosen_type`] chooses one by its name.
+    /// The name of the chosen candidate comes first in the list. The list is empty if there is only
+    /// one candidate and no condition names it.
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there are several candidates and a condition names none of
@@ -238,7 +235,7 @@ impl GroupSearch {
         let (index, chosen) = match by_path {
             Some((index, path)) => (index, path.to_owned()),
             None => {
-                let chosen = chosen_type(&names, wanted, Some(DEFAULT_TYPE))?;
+                let chosen = chosen_type(&names, wanted)?;
                 let index = names.iter().position(|name| *name == chosen).expect("one of them");
                 (index, chosen)
             }

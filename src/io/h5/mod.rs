@@ -7,7 +7,7 @@
 //! | SWIFT and GADGET | groups `Header` and `PartType0` to `PartType6` | one, in one file or in several |
 //! | PySPH | groups `particles` and `solver_data` | one |
 //! | H5Part | groups such as `Step#12` | its steps |
-//! | H5MD, and others | data sets of equal length or a table, in a group | groups such as `frame_12`, or the first axis of the data sets |
+//! | H5MD, and others | data sets of equal length or a table, in a group | groups such as `frame_12`, groups of the root called `0012` or similar, or the first axis of the data sets |
 //!
 //! `sim.h5part#12` names one of several frames. The file's size bounds the memory for headers,
 //! chunks and rows.

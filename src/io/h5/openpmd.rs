@@ -12,6 +12,7 @@ use crate::io::bytes::UnpackBuffer;
 use crate::io::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use crate::io::encode::in_order;
 use crate::io::error::{ADD_Z, several_steps};
+use crate::io::fields::other_shape;
 use crate::io::vertices::columns;
 use crate::io::wanted::{WantedAttributes, WantedParticles};
 use crate::io::{ParticleFile, ReadFault, malformed};
@@ -44,7 +45,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// Reads the particles of one species in an iteration: the species that `wanted` names, or else the
-/// only species, or else the only one that is called fluid or gas.
+/// only species, or else the only one that is called fluid or gas (see [`chosen_type`]).
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,
@@ -78,7 +79,7 @@ pub fn read_particles(
     }
     let all = convert_error(iteration.group(path))?;
     let (known, _) = convert_error(all.member_names())?;
-    let kind = chosen_type(&known, wanted.conditions, None)?;
+    let kind = chosen_type(&known, wanted.conditions)?;
     let species = convert_error(all.group(&kind))?;
     Ok(ParticleFile {
         time,
@@ -184,11 +185,12 @@ fn particles(
     let mut decoded = UnpackBuffer::new(file.unpacking);
     let position_columns =
         columns_of(&position, offset.as_deref(), Scalar::F64, file, &mut decoded)?;
-    let mut records = Vec::new();
+    let (mut records, mut left_out) = (Vec::new(), Vec::new());
     for name in names {
         let Some(components) = record(species, &name)? else { continue };
-        if components.iter().all(|component| component.rows() == rows) {
-            records.push((AttributeInfo::new(name, components.len()), components));
+        match components.iter().map(Component::rows).find(|&other| other != rows) {
+            None => records.push((AttributeInfo::new(name, components.len()), components)),
+            Some(other) => left_out.extend(other_shape(&name, &[other], rows, None)),
         }
     }
     let infos: Vec<AttributeInfo> = records.iter().map(|(info, _)| info.clone()).collect();
@@ -207,7 +209,7 @@ fn particles(
     let position = position_columns.try_into().expect("three components");
     let store: ColumnStore =
         ColumnStore::new(decoded.finish()?, ParticleRows::All(rows), position, attributes);
-    Ok(ParticleFile { unread, ..ParticleFile::new(store, "openPMD HDF5") })
+    Ok(ParticleFile { unread, left_out, ..ParticleFile::new(store, "openPMD HDF5") })
 }
 
 /// Appends the values of `components` to `decoded`, and returns their columns. If `added` is given,

@@ -13,13 +13,13 @@ pub const PARTICLES: &str = "particles";
 /// Name of the group that contains the solver's time.
 pub const SOLVER: &str = "solver_data";
 
-/// Reads the particles of the array that `wanted` names, or else of the only array, or else of
-/// `fluid`. Particles with a nonzero `tag` are left out: they are copies from other processes or
-/// for periodic boundaries.
+/// Reads the particles of the array that `wanted` names, or else of the only array, or else of the
+/// array called `fluid` or `gas` (see [`chosen_type`]). Particles with a nonzero `tag` are left
+/// out: they are copies from other processes or for periodic boundaries.
 pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = convert_error(file.group(PARTICLES)?.member_names())?;
-    let kind = chosen_type(&known, wanted.conditions, Some("fluid"))?;
+    let kind = chosen_type(&known, wanted.conditions)?;
     let arrays = H5Array::by_name(&file.group(&format!("{PARTICLES}/{kind}/arrays"))?)?;
     let file = table(arrays)?.read(file, "PySPH HDF5", wanted.attributes)?;
     let particle_types = types(known, &kind);

@@ -105,7 +105,8 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// The groups that contain one frame each, sorted by number. These are the groups of H5Part, or
-/// else numbered groups with the same parent, if the first of them contains positions.
+/// else numbered groups with the same parent, if the first of them contains positions, or else
+/// [`bare_numbers`].
 fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = convert_error(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
@@ -127,7 +128,50 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
             return Ok(frames);
         }
     }
-    Ok(Vec::new())
+    bare_numbers(&groups, file)
+}
+
+/// The groups of the root that contain one frame each, if their names are bare numbers. There must
+/// be at least two, with different numbers and the same members, and the first must contain
+/// positions.
+///
+/// Such names may also be types of particles, so this function returns no groups if the members
+/// differ, or if a group with another name contains positions.
+fn bare_numbers(groups: &[Group], file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
+    let number = |name: &str| {
+        let is_bare = name.bytes().all(|letter| letter.is_ascii_digit());
+        name.parse::<u64>().ok().filter(|_| is_bare)
+    };
+    let is_bare = |group: &&Group| number(super::groups::last_name(group.name())).is_some();
+    let (bare, others): (Vec<_>, Vec<_>) = groups.iter().partition(is_bare);
+    let frames = in_group(groups, number);
+    if frames.len() < 2 || frames.len() < bare.len() {
+        return Ok(Vec::new());
+    }
+    let members = |group: &Group| {
+        let (mut groups, mut sets) = convert_error(group.member_names())?;
+        groups.sort_unstable();
+        sets.sort_unstable();
+        Ok::<_, ReadFault>((groups, sets))
+    };
+    let has_positions =
+        |group: &Group| Ok::<_, ReadFault>(!GroupSearch::of(group, file)?.candidates.is_empty());
+    let first = &frames[0].1;
+    if !has_positions(first)? {
+        return Ok(Vec::new());
+    }
+    let known = members(first)?;
+    for (_, frame) in &frames[1..] {
+        if members(frame)? != known {
+            return Ok(Vec::new());
+        }
+    }
+    for other in others {
+        if has_positions(other)? {
+            return Ok(Vec::new());
+        }
+    }
+    Ok(frames)
 }
 
 /// The groups whose names contain a number, each with its number, sorted by number. `number` finds

@@ -13,7 +13,7 @@ use hdf5_reader::{ByteOrder, Dataset, Datatype, H5Type, SliceInfo, SliceInfoElem
 use crate::io::bytes::{Bytes, UnpackBuffer};
 use crate::io::columns::{Column, ColumnStore, Endian, ParticleRows, Scalar};
 use crate::io::encode::in_order;
-use crate::io::fields::MOST_COMPONENTS;
+use crate::io::fields::{MOST_COMPONENTS, other_shape};
 use crate::io::vertices::{columns, integer};
 use crate::io::wanted::WantedAttributes;
 use crate::io::{ParticleFile, ReadFault, UnreadPart, malformed};
@@ -26,8 +26,36 @@ use super::groups::last_name;
 
 /// Number of bytes per decoding step, unless chunks are larger.
 const WINDOW: u64 = 1 << 20;
-/// Names, in lower case, of the type of particles that is read by default.
-const FLUIDS: [&str; 2] = ["fluid", "gas"];
+/// Names, in lower case, of types of particles that are read by default. The first comes from
+/// snapshots of SWIFT and GADGET, where it is a gas.
+const FLUIDS: [&str; 2] = ["parttype0", "fluid"];
+/// Name, in lower case, of the type that is read by default if no other type can be a liquid.
+const GAS: &str = "gas";
+/// Names, in lower case, of types of particles that are not liquids: walls, and the other
+/// components of a galaxy.
+const NO_LIQUIDS: [&str; 21] = [
+    "boundary",
+    "boundaries",
+    "wall",
+    "walls",
+    "solid",
+    "solids",
+    "dm",
+    "dark",
+    "darkmatter",
+    "dark_matter",
+    "halo",
+    "star",
+    "stars",
+    "bh",
+    "blackhole",
+    "blackholes",
+    "black_hole",
+    "black_holes",
+    "sink",
+    "sinks",
+    "dust",
+];
 /// Maximum number of particle types that an error lists.
 const LISTED: usize = 20;
 
@@ -463,7 +491,7 @@ pub(super) struct H5Table {
     pub arrays: Vec<H5Array>,
     pub position: [Place; 3],
     pub attributes: Vec<(AttributeInfo, Vec<Place>)>,
-    /// Arrays with too many numbers per row for an attribute.
+    /// Arrays with too many numbers per row for an attribute, or with another number of rows.
     pub left_out: Vec<UnreadPart>,
     /// The rows that contain particles. `None` if all rows do.
     pub present: Option<Sieve>,
@@ -495,10 +523,12 @@ impl H5Table {
         let mut left_out = Vec::new();
         for (index, array) in arrays.iter().enumerate() {
             let H5Array { name, components, .. } = array;
-            if used[index] || array.rows != rows {
+            if used[index] {
                 continue;
             }
-            if array.is_wide() {
+            if array.rows != rows {
+                left_out.extend(other_shape(name, array.set.shape(), rows, None));
+            } else if array.is_wide() {
                 let numbers = *components as u64;
                 left_out.push(UnreadPart::WideArray { name: name.clone(), numbers });
             } else {
@@ -586,39 +616,38 @@ pub(super) fn types(known: Vec<String>, chosen: &str) -> Vec<String> {
 }
 
 /// The chosen type of particles: the type that a condition names, or else the only type, or else
-/// `default_type` if `known` contains it, or else the only type with one of the names [`FLUIDS`].
-/// The comparison with these names ignores case.
-pub(super) fn chosen_type(
-    known: &[String],
-    wanted: &[Where],
-    default_type: Option<&str>,
-) -> Result<String, ReadFault> {
+/// the [`default_type`].
+pub(super) fn chosen_type(known: &[String], wanted: &[Where]) -> Result<String, ReadFault> {
     match (named_type(known, wanted)?, known) {
         (Some(named), _) => Ok(named.to_owned()),
         (None, []) => Err(ReadFault::Unsupported("the file contains no particles".to_owned())),
         (None, [only]) => Ok(only.clone()),
-        (None, _) => {
-            let default_type =
-                default_type.filter(|default_type| known.iter().any(|name| name == default_type));
-            default_type.or_else(|| only_fluid(known)).map(str::to_owned).ok_or_else(|| {
-                ReadFault::Unsupported(format!(
-                    "the file contains several types: {}; choose one with the condition type=NAME",
-                    list_of(known)
-                ))
-            })
-        }
+        (None, _) => default_type(known).map(str::to_owned).ok_or_else(|| {
+            ReadFault::Unsupported(format!(
+                "the file contains several types: {}; choose one with the condition type=NAME",
+                list_of(known)
+            ))
+        }),
     }
 }
 
-/// The only type with one of the names [`FLUIDS`]. If a type's name is a path, only its last
-/// component is compared.
-fn only_fluid(known: &[String]) -> Option<&str> {
-    let is_fluid = |name: &&String| {
-        let name = last_name(name);
-        FLUIDS.iter().any(|fluid| name.eq_ignore_ascii_case(fluid))
+/// The type with the first of the names [`FLUIDS`] that exactly one type has. If no type has such a
+/// name, the only type called [`GAS`], unless another type may be a liquid.
+///
+/// The comparison of names ignores case. If a type's name is a path, only its last component is
+/// compared.
+fn default_type(known: &[String]) -> Option<&str> {
+    let is_called = |name: &String, other: &str| last_name(name).eq_ignore_ascii_case(other);
+    let only = |called: &str| {
+        let mut found = known.iter().filter(|name| is_called(name, called));
+        found.next().filter(|_| found.next().is_none()).map(String::as_str)
     };
-    let mut fluids = known.iter().filter(is_fluid);
-    fluids.next().filter(|_| fluids.next().is_none()).map(String::as_str)
+    let is_no_liquid = |name: &String| {
+        let name = last_name(name).to_ascii_lowercase();
+        name == GAS || name.starts_with("parttype") || NO_LIQUIDS.contains(&&*name)
+    };
+    let gas = || only(GAS).filter(|_| known.iter().all(is_no_liquid));
+    FLUIDS.into_iter().find_map(only).or_else(gas)
 }
 
 /// The type of particles that a condition names. `None` if no condition names a type. A condition
@@ -650,4 +679,31 @@ fn list_of(known: &[String]) -> String {
         list += &format!(", and {more} more");
     }
     list
+}
+
+#[cfg(test)]
+mod tests {
+    use super::default_type;
+
+    #[test]
+    fn gas_is_the_default_only_if_no_other_type_can_be_a_liquid() {
+        for (known, expected) in [
+            (&["wall", "Fluid"][..], Some("Fluid")),
+            (&["fluid", "gas", "oil"], Some("fluid")),
+            (&["PartType0", "PartType1", "water"], Some("PartType0")),
+            (&["gas", "Wall"], Some("gas")),
+            (&["DM", "Gas", "stars"], Some("Gas")),
+            (&["PartType4", "box/gas"], Some("box/gas")),
+            (&["gas", "liquid"], None),
+            (&["gas", "liquid", "wall"], None),
+            (&["water", "gas"], None),
+            (&["/", "gas"], None),
+            (&["a/gas", "b/gas"], None),
+            (&["a/fluid", "b/fluid"], None),
+            (&["sand", "wall"], None),
+        ] {
+            let known: Vec<String> = known.iter().copied().map(String::from).collect();
+            assert_eq!(default_type(&known), expected, "{known:?}");
+        }
+    }
 }

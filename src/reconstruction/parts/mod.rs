@@ -92,6 +92,9 @@ pub struct PartsPlan {
     pub particles: usize,
     /// Name of the file format.
     pub format: String,
+    /// Names of the particle types in the file. The first is the type that is read. Empty if the
+    /// file has a single type without a name.
+    pub particle_types: Vec<String>,
     /// The chosen cells.
     pub cells: Cells,
     /// The origin to which the grid was moved because all particles are on a lattice.

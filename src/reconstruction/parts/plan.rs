@@ -86,6 +86,7 @@ impl Parts {
             particles: plan.particles,
             moved_to: plan.moved.then_some(plan.origin),
             format: plan.format,
+            particle_types: plan.particle_types,
             cells: plan.cells,
             indicator: request.indicator,
             census: plan.census,
@@ -113,7 +114,8 @@ impl Parts {
                 let file = file.require_selected().map_err(|fault| ReadError::new(input, fault))?;
                 timings.done("open");
                 let source = SpacingHints { path: Some(input), spacing: file.spacing };
-                let chosen = checked.choose(&file.particles, source)?;
+                let chosen = checked.choose(&file.particles, source);
+                let chosen = chosen.map_err(|error| error.with_skipped_part(&file.left_out))?;
                 Ok::<_, Error>((file, chosen))
             };
             let (file, chosen) = checked.resources.control.during(Stage::Reading, open)?;
@@ -170,6 +172,7 @@ impl Parts {
             input: stamp,
             particles: particles.len(),
             format: file.format.to_owned(),
+            particle_types: file.particle_types.clone(),
             cells,
             origin: sampling.grid.origin().to_array(),
             moved,

@@ -39,6 +39,9 @@ pub(super) struct SharedPlan {
     pub(super) particles: usize,
     /// Name of the file format.
     pub(super) format: String,
+    /// Names of the particle types in the input, of which the first is read.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(super) particle_types: Vec<String>,
     /// The chosen cells.
     pub(super) cells: Cells,
     pub(super) origin: [f64; 3],
