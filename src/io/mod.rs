@@ -63,8 +63,9 @@ pub mod xyz;
 
 use std::fmt;
 
+use crate::particles::AttributeInfo;
 use crate::particles::selection::SelectionFault;
-use crate::particles::{AttributeInfo, VELOCITY_NAMES};
+use crate::particles::velocity::velocity_rank;
 
 pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
@@ -196,7 +197,7 @@ impl UnreadPart {
             Self::OtherShape { name, .. } => {
                 names::names_other_column(name)
                     || names::is_other_component(name)
-                    || VELOCITY_NAMES.contains(&&**name)
+                    || velocity_rank(name).is_some()
             }
             _ => true,
         }
