@@ -141,7 +141,12 @@ pub struct Census {
     pub outside: usize,
     /// Number of binned particles that were wrapped into a periodic box: they were slightly
     /// outside, and were moved by one period.
+    #[serde(default, skip_serializing_if = "is_zero")]
     pub wrapped: usize,
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// The result of the first of two readings: the number of particles in each bin.

@@ -12,7 +12,7 @@ use crate::settings::Setting;
 #[derive(Debug, Clone, PartialEq)]
 #[non_exhaustive]
 pub enum Conflict {
-    /// Another setting for the same length or the same sizes. Only one of the two can be given.
+    /// The other setting is for the same length or the same sizes. Only one of the two can be given.
     Setting(Setting),
     /// A required setting that is missing.
     Needs(Setting),

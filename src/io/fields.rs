@@ -156,7 +156,9 @@ impl<'a> NamedColumns<'a> {
         match components {
             1 => self.names.push(name.clone()),
             3 if !is_one_axis(self.fields, field) => {
-                let name = without_unit(name);
+                let bare = without_unit(name);
+                let namesakes = self.fields.iter().filter(|f| without_unit(&f.name) == bare);
+                let name = if namesakes.count() == 1 { bare } else { name };
                 self.names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}")))
             }
             _ => {

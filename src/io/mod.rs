@@ -64,6 +64,7 @@ pub mod xyz;
 use std::fmt;
 
 use crate::particles::AttributeInfo;
+use crate::particles::mixture::is_material_name;
 use crate::particles::selection::SelectionFault;
 use crate::particles::velocity::velocity_rank;
 
@@ -194,10 +195,12 @@ impl UnreadPart {
     #[must_use]
     pub fn is_unexpected(&self) -> bool {
         match self {
-            Self::OtherShape { name, .. } => {
-                names::names_other_column(name)
+            Self::OtherShape { name, shape, .. } => {
+                let is_grid = shape.len() > 2;
+                let is_common = names::names_other_column(name)
                     || names::is_other_component(name)
-                    || velocity_rank(name).is_some()
+                    || velocity_rank(name).is_some();
+                is_common && !is_grid && !is_material_name(name)
             }
             _ => true,
         }

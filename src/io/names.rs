@@ -239,11 +239,9 @@ fn complete(columns: &[Vec<usize>; 3]) -> Option<[usize; 3]> {
 
 /// Finds three single numbers among the attributes that are the components of the velocity, such as
 /// `vx`, `vy` and `vz`. Returns the velocity, with a name that no attribute has, and the indices of
-/// its components. `None` if an attribute is the whole velocity.
+/// its components. `None` if an attribute is the whole velocity, unless the name of the components
+/// is preferred: scalars `vx`, `vy` and `vz` are preferred to a vector `U`.
 pub fn velocity_of_components(infos: &[AttributeInfo]) -> Option<(AttributeInfo, [usize; 3])> {
-    if velocity_attribute(infos).is_some() {
-        return None;
-    }
     let is_free = |name: &&&str| infos.iter().all(|info| info.name != **name);
     let name = VELOCITY_NAMES.iter().find(is_free)?;
     let numbers = infos.iter().map(|info| match info.components {
@@ -257,7 +255,9 @@ pub fn velocity_of_components(infos: &[AttributeInfo]) -> Option<(AttributeInfo,
         let rank = velocity_rank(stem.0.trim_end_matches(JOINTS))?;
         Some((rank, complete(&vectors[&stem])?))
     });
-    ranked.min().map(|(_, components)| (AttributeInfo::new(*name, 3), components))
+    let (rank, components) = ranked.min()?;
+    let whole = velocity_attribute(infos).and_then(|whole| velocity_rank(&infos[whole].name));
+    (whole.is_none_or(|whole| rank < whole)).then(|| (AttributeInfo::new(*name, 3), components))
 }
 
 /// The names, with `x`, `y` and `z` instead of names such as `x-coordinate`. `None` if the names

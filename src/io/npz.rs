@@ -88,14 +88,15 @@ pub fn read_particles(
     Ok(ParticleFile { time, left_out, ..ParticleFile::new(particles, "NumPy .npz") })
 }
 
-/// The index of the array that contains the times of `frames` frames.
+/// The index of the array that contains the times of `frames` frames. Integers are not times,
+/// because they usually count steps.
 fn times(arrays: &[NpzArray], frames: u64) -> Option<usize> {
-    let called = |name: &str| arrays.iter().position(|array| array.name == name);
-    let has_all = |array: &usize| {
-        let header = &arrays[*array].header;
-        header.list(0).is_some() && header.elements() == frames
+    let has_all = |array: &NpzArray| {
+        let header = &array.header;
+        header.list(0).is_some_and(|column| column.scalar.is_float()) && header.elements() == frames
     };
-    time_arrays().find_map(called).filter(has_all)
+    let called = |name: &str| arrays.iter().position(|array| array.name == name && has_all(array));
+    time_arrays().find_map(called)
 }
 
 /// The numbers of the frames in an archive whose arrays have several frames. Empty for a single

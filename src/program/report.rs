@@ -20,12 +20,19 @@ pub fn counted(number: u64, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
+/// The maximum number of types whose names are listed.
+const MOST_TYPES: usize = 12;
+
 /// Describes which of the particle types in a file was read, which is the first, and which were
 /// not. `None` if the file has no other types.
 pub fn type_read(types: &[String]) -> Option<String> {
     match types {
         [] | [_] => None,
-        [read, others @ ..] => Some(format!("{read} (not read: {})", others.join(", "))),
+        [read, others @ ..] => {
+            let (shown, more) = others.split_at(others.len().min(MOST_TYPES));
+            let more = if more.is_empty() { String::new() } else { format!(" and {}", more.len()) };
+            Some(format!("{read} (not read: {}{more})", shown.join(", ")))
+        }
     }
 }
 
@@ -173,7 +180,7 @@ pub fn report_census(census: &Census, notes: &Notes) {
         (census.not_finite, "skipped: a coordinate is not finite"),
         (census.too_far, "skipped: too far from the origin of the grid"),
         (census.outside, "left out: outside the domain or the periodic box"),
-        (census.wrapped, "wrapped into the periodic box (at most one spacing outside it)"),
+        (census.wrapped, "slightly outside the periodic box: wrapped into it"),
     ] {
         if count > 0 {
             notes.say(format!("{} {what}", counted(count as u64, "particle")));

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use meniscus::devices::Device;
+use meniscus::files::UnreadPart;
 use meniscus::{
     Cancel, Error, Event, FrameCounts, FrameDone, FrameFailed, Simulation, Summary, Warning,
 };
@@ -87,8 +88,9 @@ struct Listener<'a> {
     bars: Option<(ProgressBars, Notes)>,
     /// Descriptions of the particle types that frames have, each of which is printed once.
     types: BTreeSet<String>,
-    /// Warnings that usually concern all frames, each with the number of frames that have it.
-    repeated: BTreeMap<String, usize>,
+    /// Warnings that usually concern all frames, each with the number of frames that have it. The
+    /// key is the warning or, if it differs from frame to frame, the name of the attribute.
+    repeated: BTreeMap<String, (String, usize)>,
     /// The first error while writing the statistics.
     stats_error: Option<Error>,
     is_incomplete: bool,
@@ -171,7 +173,14 @@ impl Listener<'_> {
         for warning in &done.warnings {
             if let Warning::LeftOut(_) | Warning::Renamed { .. } | Warning::Coarse { .. } = warning
             {
-                let frames = self.repeated.entry(warning.to_string()).or_insert(0);
+                // The shape of an array can differ from frame to frame.
+                let key = match warning {
+                    Warning::LeftOut(part @ UnreadPart::OtherShape { .. }) => part.attribute(),
+                    _ => None,
+                };
+                let text = warning.to_string();
+                let key = key.map_or_else(|| text.clone(), str::to_owned);
+                let (_, frames) = self.repeated.entry(key).or_insert((text, 0));
                 *frames += 1;
                 if *frames > 1 {
                     continue;
@@ -204,7 +213,7 @@ impl Listener<'_> {
             self.append(|| of_missing(*frame, input));
         }
         let notes = &self.notes;
-        for (warning, frames) in std::mem::take(&mut self.repeated) {
+        for (warning, frames) in std::mem::take(&mut self.repeated).into_values() {
             if frames > 1 {
                 notes.warn(&format!("in {frames} frames, {warning}"));
             }

@@ -558,7 +558,7 @@ fn resuming_replaces_no_mesh_of_inputs_in_another_folder() {
     let resume = [&of_other[..], &["--resume"]].concat();
     for more in [&[][..], &["--frames", "2..3"], &["--plan"], &["--watch=1"]] {
         let errors = run(folder.path(), &[&resume[..], more].concat(), 2);
-        assert!(errors.contains("other differs") && errors.contains("--overwrite"), "{errors}");
+        assert!(errors.contains("other has a different frame") && errors.contains("--overwrite"), "{errors}");
         assert!(tree(&place("out")) == whole, "{more:?}");
     }
     // Moving the folder of the inputs does not count as a change.
@@ -726,7 +726,7 @@ fn a_state_of_an_earlier_surface_version_is_refused_even_with_resume() {
     for more in [&[][..], &["--resume"], &["--frames", "3..3"], &["--plan"]] {
         let errors = run(folder.path(), &with(more), 2);
         assert!(
-            ["state.json", "another surface", "--overwrite"]
+            ["state.json", "calibration is missing", "--overwrite"]
                 .iter()
                 .all(|word| errors.contains(word)),
             "{more:?}: {errors}"

@@ -250,7 +250,7 @@ impl InsideBricks {
         rest
     }
 
-    /// In inside bricks, sets the samples of a field of wide cells to the maximum sample.
+    /// Sets, in inside bricks, the samples of a field of wide cells to the maximum sample.
     pub fn raise(&self, field: &mut Block) {
         let cells = field.cells();
         for brick in self.bricks(cells) {

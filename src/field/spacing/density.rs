@@ -125,7 +125,7 @@ const ENOUGH_IN_CELL: usize = 4;
 const EVEN: f64 = 0.8;
 /// At least this share of the cells of a coarser resolution must have no neighbour with the counts
 /// of the majority. Otherwise, these cells may hold a wall that a narrow gap separates from fluid.
-const DEEP: f64 = 0.25;
+const DEEP: f64 = 0.15;
 
 /// A cell whose 26 neighbours also hold particles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]

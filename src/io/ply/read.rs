@@ -92,10 +92,11 @@ fn points(
 }
 
 /// Whether the file is a mesh: a face has an area. Reads the whole file only if its first faces are
-/// vertices or lines, or if it is text.
+/// vertices or lines, or if it is text. A file whose faces cannot be read, for example because
+/// another program is still writing them, counts as a mesh.
 ///
 /// # Errors
-/// The errors of [`read_mesh`] about the header and about faces before the first with an area.
+/// The errors of [`read_mesh`] about the header.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     let header = PlyHeader::parse(bytes)?;
     let Some(corners) = faces(&header)? else { return Ok(false) };
@@ -103,11 +104,8 @@ pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
         return Ok(true);
     }
     let whole = bytes.read(0..bytes.len())?;
-    let at = start(ByteView::from(&*whole), &header, corners.0)?;
-    match cells(&whole, header.encoding, corners, at) {
-        Err(ReadFault::Mesh { .. }) => Ok(true),
-        counted => counted.map(|_| false),
-    }
+    let Ok(at) = start(ByteView::from(&*whole), &header, corners.0) else { return Ok(true) };
+    Ok(cells(&whole, header.encoding, corners, at).is_err())
 }
 
 /// Whether a face with an area is found without reading the whole file. This is possible if all

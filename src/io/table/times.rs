@@ -30,6 +30,8 @@ const NAMES: [&str; 20] = [
     "iteration",
     "iter",
 ];
+/// Names that often mean something else, such as a temperature or the iterations of a solver.
+const AMBIGUOUS: [&str; 4] = ["t", "step", "iteration", "iter"];
 /// Maximum number of frames. A column with more different numbers has a time for each particle.
 const MOST_FRAMES: usize = 1 << 16;
 /// Minimum number of rows of at least half of the frames.
@@ -73,9 +75,15 @@ impl Times {
     /// may have times of their own.
     ///
     /// The column divides the rows into frames if there are several times, and at least half of
-    /// them have [`FEWEST_ROWS`] rows or more. The rows can have any order.
+    /// them have [`FEWEST_ROWS`] rows or more. The rows can have any order. If the name is one of
+    /// [`AMBIGUOUS`], all times must also have nearly the same number of rows.
     pub fn frames(&self, name: &str) -> Option<UnreadPart> {
         let count = self.rows.len();
+        let most = self.rows.values().copied().max().unwrap_or(0);
+        let least = self.rows.values().copied().min().unwrap_or(0);
+        if AMBIGUOUS.contains(&&*bare_name(name).to_ascii_lowercase()) && 10 * least < 9 * most {
+            return None;
+        }
         let shared = self.rows.values().filter(|rows| **rows >= FEWEST_ROWS).count();
         let is_divided = !self.are_too_many && count > 1 && 2 * shared >= count;
         let times = || self.rows.keys().map(|&bits| f64::from_bits(bits));
