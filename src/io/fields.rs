@@ -8,6 +8,8 @@ use super::names::{
 use super::{ReadFault, UnreadPart, malformed};
 use crate::particles::velocity::velocity_rank;
 
+/// Characters around a unit in a name.
+const BRACKETS: [char; 4] = ['(', ')', '[', ']'];
 /// Maximum number of components of an attribute. An array with more components is a matrix or a
 /// spectrum.
 pub const MOST_COMPONENTS: u64 = 64;
@@ -158,7 +160,8 @@ impl<'a> NamedColumns<'a> {
             3 if !is_one_axis(self.fields, field) => {
                 let bare = without_unit(name);
                 let namesakes = self.fields.iter().filter(|f| without_unit(&f.name) == bare);
-                let name = if namesakes.count() == 1 { bare } else { name };
+                let is_unit = namesakes.count() == 1;
+                let name = if is_unit { bare.to_owned() } else { name.replace(BRACKETS, "") };
                 self.names.extend(["x", "y", "z"].map(|axis| format!("{name}.{axis}")))
             }
             _ => {

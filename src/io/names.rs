@@ -5,7 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use crate::particles::AttributeInfo;
 use crate::particles::velocity::{
-    VELOCITY_NAMES, VELOCITY_WORDS, velocity_attribute, velocity_rank,
+    OPENFOAM_VELOCITY, VELOCITY_NAMES, VELOCITY_WORDS, velocity_attribute, velocity_rank,
 };
 
 /// Names of a position in order of preference. The empty name stands for columns `x`, `y` and `z`.
@@ -239,9 +239,12 @@ fn complete(columns: &[Vec<usize>; 3]) -> Option<[usize; 3]> {
 
 /// Finds three single numbers among the attributes that are the components of the velocity, such as
 /// `vx`, `vy` and `vz`. Returns the velocity, with a name that no attribute has, and the indices of
-/// its components. `None` if an attribute is the whole velocity, unless the name of the components
-/// is preferred: scalars `vx`, `vy` and `vz` are preferred to a vector `U`.
+/// its components. `None` if an attribute is the whole velocity. A vector `U` is the whole velocity
+/// only if there are no such components, because it can be a displacement.
 pub fn velocity_of_components(infos: &[AttributeInfo]) -> Option<(AttributeInfo, [usize; 3])> {
+    if velocity_attribute(infos).is_some_and(|whole| infos[whole].name != OPENFOAM_VELOCITY) {
+        return None;
+    }
     let is_free = |name: &&&str| infos.iter().all(|info| info.name != **name);
     let name = VELOCITY_NAMES.iter().find(is_free)?;
     let numbers = infos.iter().map(|info| match info.components {
@@ -255,9 +258,7 @@ pub fn velocity_of_components(infos: &[AttributeInfo]) -> Option<(AttributeInfo,
         let rank = velocity_rank(stem.0.trim_end_matches(JOINTS))?;
         Some((rank, complete(&vectors[&stem])?))
     });
-    let (rank, components) = ranked.min()?;
-    let whole = velocity_attribute(infos).and_then(|whole| velocity_rank(&infos[whole].name));
-    (whole.is_none_or(|whole| rank < whole)).then(|| (AttributeInfo::new(*name, 3), components))
+    ranked.min().map(|(_, components)| (AttributeInfo::new(*name, 3), components))
 }
 
 /// The names, with `x`, `y` and `z` instead of names such as `x-coordinate`. `None` if the names
@@ -501,7 +502,8 @@ mod tests {
             assert_eq!(found(&names), None, "{names:?}");
         }
         let infos = ["vx", "vy", "vz"].map(|name| AttributeInfo::new(name, 1)).to_vec();
-        let with_whole = [infos, vec![AttributeInfo::new("vel", 3)]].concat();
-        assert_eq!(velocity_of_components(&with_whole), None);
+        let with = |whole: &str| [infos.clone(), vec![AttributeInfo::new(whole, 3)]].concat();
+        assert_eq!(velocity_of_components(&with("vel")), None);
+        assert!(velocity_of_components(&with("U")).is_some());
     }
 }

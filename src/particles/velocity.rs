@@ -34,7 +34,7 @@ pub const VELOCITY_NAMES: [&str; 24] = [
 pub const VELOCITY_WORDS: [&str; 5] = ["v", "vel", "vels", "velocity", "velocities"];
 
 /// OpenFOAM's name of the velocity. In lower case, it often means a displacement.
-const OPENFOAM: &str = "U";
+pub const OPENFOAM_VELOCITY: &str = "U";
 
 /// The index of the velocity among the attributes: the attribute of three components whose name has
 /// the lowest rank among the names of the velocity, in any case and with any unit.
@@ -57,7 +57,7 @@ pub fn velocity_rank(name: &str) -> Option<usize> {
     let alike = || listed(&bare.to_ascii_lowercase().replace([' ', '-'], "_"));
     listed(name)
         .or_else(|| alike().map(|rank| VELOCITY_NAMES.len() + rank))
-        .or_else(|| (bare == OPENFOAM).then_some(2 * VELOCITY_NAMES.len()))
+        .or_else(|| (bare == OPENFOAM_VELOCITY).then_some(2 * VELOCITY_NAMES.len()))
 }
 
 /// The name without a unit in brackets or parentheses at its end.

@@ -455,6 +455,8 @@ fn a_table_that_a_column_of_times_divides_into_frames_gives_a_warning() {
         ("time", table(40, |i| format!("{} {}", i / 3, place(i)))),
         ("time", table(40, |i| format!("{} {}", i.saturating_sub(20), place(i)))),
         ("t", table(70_000, |i| format!("{} {}", i as f64 / 7.0, place(i)))),
+        ("t", table(40, |i| format!("{} {}", 300 + 50 * (i / 30), place(i)))),
+        ("iter", table(40, |i| format!("{} {}", 3 + i / 30, place(i)))),
     ] {
         let file = text(&format!("{name} x y z\n{rows}")).expect(name);
         assert_eq!(file.left_out, [], "{name}\n{rows}");

@@ -131,11 +131,12 @@ fn assert_same_places(
         };
         some.iter().copied().filter(|p| !has_near(p)).collect()
     };
-    let alone = [alone(&found, &expected), alone(&expected, &found)];
-    assert_eq!(alone, [vec![], vec![]], "{what}: vertices without a near counterpart");
     // In a mirrored mesh, a cell that is almost on the surface can change sides, which also changes
     // the vertices around the cell.
     let most = if within > NEAR { expected.len() / 100 } else { 0 };
+    for alone in [alone(&found, &expected), alone(&expected, &found)] {
+        assert!(alone.len() <= most, "{what}: vertices without a near counterpart: {alone:?}");
+    }
     let apart = found.len().abs_diff(expected.len());
     assert!(apart <= most, "{what}: {} and {} vertices", found.len(), expected.len());
 }

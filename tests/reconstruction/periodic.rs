@@ -381,7 +381,7 @@ fn wrapped_particles_are_reported_and_counted_in_the_statistics() {
     fs::write(folder.path().join("outside.xyz"), raw(&outside)).unwrap();
     run(folder.path(), &with(&POOL, &["--periodic", BOX, "-o", "inside.ply"]), 0);
     let usual = ["outside.xyz", "--spacing", "1", "--periodic", BOX, "--backend", "cpu", "-o"];
-    let reported = format!("{count} particles wrapped into the periodic box");
+    let reported = format!("{count} particles slightly outside the periodic box");
     for arguments in [
         with(&["reconstruct"], &with(&usual, &["outside.ply", "--stats", "s.jsonl"])),
         with(&["pack"], &with(&usual, &["outside.mnf"])),

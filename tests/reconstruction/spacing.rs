@@ -10,6 +10,7 @@ use std::path::Path;
 
 use glam::DVec3;
 use meniscus::error::{Error, NoEstimate};
+use meniscus::internals::field::spacing::evidence;
 use meniscus::internals::io::output::read_mesh;
 use meniscus::mesh::{check, measure};
 use meniscus::{
@@ -379,4 +380,21 @@ fn coincident_particles_and_clumps_of_unused_slots_are_reported() {
     let error = Reconstruction::new().run(&[[f64::NAN; 3]; 100]).unwrap_err();
     let Error::NoSpacing { particles: 100, why, .. } = error else { panic!("{error}") };
     assert_eq!(why, NoEstimate::NotFinite);
+}
+
+#[test]
+fn a_stack_of_many_separate_sheets_is_not_taken_for_deep_fluid() {
+    for (layers, period) in [(1, 3.0), (2, 5.0)] {
+        let mut sheets = Vec::new();
+        let turn = glam::DQuat::from_euler(glam::EulerRot::XYZ, 0.3, 0.7, 1.1);
+        let mut random = crate::common::scene::Random::new(5);
+        for i in 0..50 * 50 * 20 * layers {
+            let [x, z, y] = [i % 50, i / 50 % 50, i / 2500].map(f64::from);
+            let y = period * (y / f64::from(layers)).floor() + y % f64::from(layers);
+            let jitter = DVec3::from([(); 3].map(|()| 0.2 * random.unit() - 0.1));
+            sheets.push((turn * (DVec3::new(x, y, z) + jitter)).to_array());
+        }
+        let found = evidence(&sheets).unwrap().estimate().unwrap();
+        assert!(found.thin && (found.spacing - 1.0).abs() < 0.12, "{layers}: {found:?}");
+    }
 }

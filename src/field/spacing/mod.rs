@@ -474,7 +474,7 @@ impl Evidence {
         else {
             return false;
         };
-        counted.even >= DEEP && second > 0.4 * counted.mean && third > 0.74 * counted.mean
+        counted.even >= DEEP && second > 0.4 * counted.mean && third > 0.77 * counted.mean
     }
 
     fn estimated(&self) -> Option<SpacingEstimate> {

@@ -131,13 +131,12 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
     bare_numbers(&groups, file)
 }
 
-/// The groups of the root that contain one frame each, if their names are bare numbers of at least
-/// three digits and of equal length, such as `000120`. There must be at least two, with different
-/// numbers and the same members, and the first must contain positions.
+/// The groups of the root that contain one frame each, if their names are bare numbers, such as
+/// `000120`. There must be at least two, with different numbers and the same members, one name must
+/// have two digits or more, and the first group must contain positions.
 ///
-/// Such names may also be types of particles or ranks of processes, which have fewer digits. This
-/// function returns no groups if the members differ, or if a group with another name contains
-/// positions.
+/// Such names may also be types of particles, which usually have a single digit. This function
+/// returns no groups if the members differ, or if a group with another name contains positions.
 fn bare_numbers(groups: &[Group], file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let number = |name: &str| {
         let is_bare = name.bytes().all(|letter| letter.is_ascii_digit());
@@ -147,8 +146,8 @@ fn bare_numbers(groups: &[Group], file: &H5File) -> Result<Vec<(u64, Group)>, Re
     let (bare, others): (Vec<_>, Vec<_>) = groups.iter().partition(is_bare);
     let frames = in_group(groups, number);
     let digits = |group: &Group| super::groups::last_name(group.name()).len();
-    let is_padded = bare.iter().all(|group| digits(group) >= 3 && digits(group) == digits(bare[0]));
-    if frames.len() < 2 || frames.len() < bare.len() || !is_padded {
+    let may_be_types = bare.iter().all(|group| digits(group) == 1);
+    if frames.len() < 2 || frames.len() < bare.len() || may_be_types {
         return Ok(Vec::new());
     }
     let members = |group: &Group| {
