@@ -14,8 +14,7 @@
 //!    of L are the moments of the particles under that Gaussian: s^2 grad L is their mean offset,
 //!    and s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an
 //!    eigenvalue of B is 1 across a sheet or a filament, where the particles have no width, and 0
-//!    along it, where the density does not change. s is the width of the Gaussian before it is cut
-//!    off, because the cut changes only its tails.
+//!    along it, where the density does not change.
 //! 3. Distance. The middle of the sheet lies at the offset s (2 B - B^2) g from the cell. Along the
 //!    sheet this offset is 0, and across it, it is the mean offset. At a rim, the eigenvalues of B
 //!    are in between, so the distance to the middle grows smoothly there.
@@ -35,14 +34,13 @@
 //!    large as in spray, and the middle seems far away. But at corners, det(I - B), the product of
 //!    the particles' variances, shows that the particles lie in a plane, so the limits for the
 //!    distance from a projection and for the middle are wider there. A thick body (T < 0.4), its
-//!    surface (det(I - B) > 0.35) and a drop of a few particles (T > 2.6) are not sheets.
+//!    surface (det(I - B) > 0.35) and a drop of a few particles (T > 2.45) are not sheets.
 //! 6. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no isolated
 //!    single cells remain at rims and in spray. The average is the weight with which the shares of
 //!    the sheet replace the shares of drops (see [`distance`](super::distance)). Across the sheet,
 //!    its shares have a Gaussian profile of the width `PROFILE` or, in coarse cells,
 //!    `PROFILE_CELLS`. At the distance R from the middle, they have the value of the shares on a
-//!    drop's surface. In the middle of a thick body, shares are above 1, up to 2; if they were
-//!    limited to 1, interpolation by splines would lower them at the surface.
+//!    drop's surface.
 //! 7. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
 //!    times its certainty, because the surface of the bulk vanishes from a sheet before the sheet's
 //!    particles stand out.
@@ -137,7 +135,7 @@ const LEAST_ACROSS: f64 = 0.4;
 /// The range of T in which sheets fade in.
 pub const THIN: Ramp = ramp([LEAST_ACROSS, 0.7]);
 /// The range of T in which sheets fade out again, because the body is round.
-pub const ROUND: Ramp = ramp([2.3, 2.6]);
+pub const ROUND: Ramp = ramp([2.2, 2.45]);
 /// Sheets fade out over this range of the difference between the density's natural logarithms at
 /// the middle and at the cell, because the middle is then too far away.
 pub const BEYOND: Ramp = ramp([0.6, 0.75]);
@@ -263,12 +261,9 @@ impl Sheets {
     ) -> Option<Self> {
         let stretch = stretch.spacings()?;
         let spline = if wide.level > 0 { SPLINE } else { 0.0 };
-        let (weights, _) =
+        let (weights, width) =
             gaussian(((WIDTH / wide.edge).powi(2) - spline).sqrt(), LEAST_VARIANCE, CUT);
-        // Near a sheet, the cut does not change the shape of the density, only its height.
-        let (variance, higher) = weights.before_cut();
-        let width = (variance + 0.25 + spline).sqrt() * wide.edge;
-        let peak = higher / (TAU.sqrt() * width);
+        let width = (width * width + spline).sqrt() * wide.edge;
         let plateau = wide.plateau();
         // A plateau three times as high must still fit into a sample.
         let gain = (0..12)
@@ -277,9 +272,9 @@ impl Sheets {
         let plateau = plateau * f64::from(1_u32 << gain);
         let step = if cell < 0.55 - 1e-9 { 2 } else { 1 };
         let apart = width / (f64::from(step) * cell);
-        let of_sheet = |thickness: f64| thickness * peak;
-        let of_filament = |area: f64| area * peak.powi(2);
-        let of_drop = |volume: f64| volume * peak.powi(3);
+        let of_sheet = |thickness: f64| thickness / (TAU.sqrt() * width);
+        let of_filament = |area: f64| area / (TAU * width * width);
+        let of_drop = |volume: f64| volume / (TAU.sqrt() * width).powi(3);
         let profile = PROFILE.max(PROFILE_CELLS * cell);
         let profile_joined = profile * profile + drops.spline * cell * cell;
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
