@@ -558,7 +558,10 @@ fn resuming_replaces_no_mesh_of_inputs_in_another_folder() {
     let resume = [&of_other[..], &["--resume"]].concat();
     for more in [&[][..], &["--frames", "2..3"], &["--plan"], &["--watch=1"]] {
         let errors = run(folder.path(), &[&resume[..], more].concat(), 2);
-        assert!(errors.contains("other has a different frame") && errors.contains("--overwrite"), "{errors}");
+        assert!(
+            errors.contains("other has a different frame") && errors.contains("--overwrite"),
+            "{errors}"
+        );
         assert!(tree(&place("out")) == whole, "{more:?}");
     }
     // Moving the folder of the inputs does not count as a change.
