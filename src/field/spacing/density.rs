@@ -286,7 +286,7 @@ impl CellCounts {
     fn interior(&self) -> Vec<InteriorCell> {
         match self {
             Self::Listed { size: [x, y, _], counts } => {
-                // The smallest and the greatest count around a cell. `None` if a neighbour is empty.
+                // The smallest and the greatest count around a cell; `None` if one is 0.
                 let around = |index: usize| {
                     let (mut sparsest, mut densest) = (u32::MAX, 0);
                     for layer in [0, x * y, 2 * x * y] {
