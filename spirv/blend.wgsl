@@ -15,8 +15,7 @@ fn blended(drop: u32, sheet: u32, certain: u32) -> u32 {
     if certain == 0u {
         return drop;
     }
-    let of_drop = i32(min(drop, 32768u));
-    return u32(of_drop + (((i32(sheet) - of_drop) * i32(certain)) >> SHEET_BITS));
+    return u32(i32(drop) + (((i32(sheet) - i32(drop)) * i32(certain)) >> SHEET_BITS));
 }
 
 @compute @workgroup_size(256)

@@ -179,7 +179,7 @@ fn sheeted(block: Block, cell: vec3<i32>) -> vec2<u32> {
     let square = two_to(min(gradual_size, ONE)) >> 3u;
     let share = push.share
         + ((push.by_directions * max(directions, ONE) + push.by_size * square - push.by_distance * away) >> SHEET_BITS);
-    return vec2(u32(two_to(clamp(share, -15 * ONE, 0))), certain);
+    return vec2(u32(two_to(clamp(share, -15 * ONE, ONE - 1))), certain);
 }
 
 @compute @workgroup_size(256)

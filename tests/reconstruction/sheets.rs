@@ -113,33 +113,38 @@ fn a_sheet_stretched_beyond_the_limit_breaks_into_drops() {
     let particles = sheet(1, 2.6, &mut Random::new(3));
     let found = measured(&particles, 0.25, 2.15);
     assert!(found.components > particles.len() * 9 / 10, "{}", found.components);
+    let volume = found.volume.unwrap() / particles.len() as f64;
+    assert!((0.9..1.1).contains(&volume), "{volume}");
     // A few particles at the corners of the sheet may remain drops.
     assert!(measured(&particles, 0.25, 3.0).components < 10);
 }
 
 #[test]
-fn sheet_handling_does_not_connect_the_drops_of_spray() {
+fn joining_sheets_neither_connects_nor_shrinks_drops_of_spray() {
     for (apart, cell) in [(3.0, 0.5), (4.0, 0.5), (3.0, 0.4), (3.0, 0.25)] {
         let mut random = Random::new(11);
         let edge = 10.0 * apart;
         let spray: Vec<[f64; 3]> =
             (0..1000).map(|_| [(); 3].map(|()| edge * random.unit())).collect();
-        let [with, without] = [2.15, 0.0].map(|sheets| measured(&spray, cell, sheets).components);
-        let range = without * 9 / 10..=without + without / 50;
-        assert!(range.contains(&with), "{apart}, {cell}: {with} of {without}");
+        let [with, without] = [2.15, 0.0].map(|sheets| measured(&spray, cell, sheets));
+        let range = without.components * 9 / 10..=without.components * 51 / 50;
+        let what = format!("{apart}, {cell}: {with:?} instead of {without:?}");
+        assert!(range.contains(&with.components), "{what}");
+        let volume = with.volume.unwrap() / without.volume.unwrap();
+        assert!((0.9..1.1).contains(&volume), "{what}");
     }
 }
 
 #[test]
-fn stretched_filaments_of_particles_stay_connected() {
+fn stretched_filaments_stay_connected_and_keep_their_volume() {
     let along = DVec3::new(0.6, 0.48, 0.64);
-    for stretch in [1.4, 1.8, 2.1] {
+    for stretch in [1.0, 1.4, 1.8, 2.1] {
         let particles: Vec<[f64; 3]> =
             (0..20).map(|i| (along * f64::from(i) * stretch).to_array()).collect();
         let found = measured(&particles, 0.25, 2.15);
         assert_eq!((found.components, found.genus), (1, Some(0)), "{stretch}");
         let volume = found.volume.unwrap() / 20.0;
-        assert!((0.4..2.0).contains(&volume), "{stretch}: {volume}");
+        assert!((0.9..1.1).contains(&volume), "{stretch}: {volume}");
     }
 }
 

@@ -74,6 +74,14 @@ impl Weights {
         Self::with_tails(tails.collect())
     }
 
+    /// The variance, in squared cells, that this Gaussian had before it was cut off, and the factor
+    /// by which the cut increased the weights that remain.
+    pub fn before_cut(&self) -> (f64, f64) {
+        let [centre, next] = [0, 1].map(|k: usize| f64::from(self.half[k]) / f64::from(UNIT));
+        let variance = 0.5 / libm::log(centre / next);
+        (variance, centre * (std::f64::consts::TAU * variance).sqrt())
+    }
+
     /// Adds a gain of `gain` bits, at most 15.
     pub fn gaining(self, gain: u32) -> Self {
         debug_assert!(gain < UNIT.ilog2(), "{gain} bits");

@@ -208,7 +208,7 @@ pub fn blend(mut drops: Block, sheets: &Block, certainty: &Block) -> Block {
     {
         for ((share, &sheet), &certain) in shares.iter_mut().zip(of_sheets).zip(certainty) {
             if certain > 0 {
-                let drop = i32::from(*share).min(1 << 15);
+                let drop = i32::from(*share);
                 let more = ((i32::from(sheet) - drop) * i32::from(certain)) >> BITS;
                 *share = (drop + more) as u16;
             }
@@ -334,7 +334,7 @@ impl SheetConstants {
             + ((self.by_directions * directions.clamp(ONE, 3 * ONE) + self.by_size * size
                 - self.by_distance * away)
                 >> BITS);
-        let share = exp2(share.clamp(-15 * ONE, 0)) as u16;
+        let share = exp2(share.clamp(-15 * ONE, ONE - 1)) as u16;
         // There is no early return for low densities, because several cells are processed at a
         // time.
         (if taps.centre < self.least { 0 } else { share }, certain as u16)
@@ -364,7 +364,14 @@ mod tests {
     /// The standard deviation of a particle in the density that shows sheets. It includes the
     /// widths of the filter, the clouds and the spline.
     fn width() -> f64 {
-        (default_sheets().around.variance() + 0.5).sqrt() * WIDE.edge
+        let (variance, _) = default_sheets().around.before_cut();
+        (variance + 0.5).sqrt() * WIDE.edge
+    }
+
+    /// The density, as a fraction of the plateau, in the middle of a sheet one spacing thick.
+    fn peak() -> f64 {
+        let (_, higher) = default_sheets().around.before_cut();
+        higher / (TAU.sqrt() * width())
     }
 
     /// The share and the certainty of a sheet at `place`. `logarithm` gives the binary logarithm of
@@ -421,28 +428,24 @@ mod tests {
 
     #[test]
     fn sheets_and_filaments_have_their_thickness_in_any_orientation() {
-        let width = width();
         let normal = DVec3::new(0.36, 0.48, 0.8);
         let other = normal.any_orthonormal_vector();
         for [first, second] in [[DVec3::Y, DVec3::X], [normal, other], [other, normal]] {
             for thickness in [0.26, 0.3, 0.4, 0.7, 0.9] {
-                let density = thickness / (TAU.sqrt() * width);
                 let expected = with_minimum(0.5 * thickness, 0.205);
-                let found = half_thickness(&[first], density);
+                let found = half_thickness(&[first], thickness * peak());
                 assert!((found - expected).abs() < 0.03, "{first} {thickness}: {found}");
             }
             for area in [0.5, 1.0] {
-                let density = area / (TAU * width * width);
                 let expected = with_minimum((area / PI).sqrt(), 0.2625);
-                let found = half_thickness(&[first, second], density);
+                let found = half_thickness(&[first, second], area * peak().powi(2));
                 assert!((found - expected).abs() < 0.03, "{first} {area}: {found}");
             }
             // Particles that are three spacings apart make no sheet, and a single particle makes no
             // sheet.
-            assert_eq!(half_thickness(&[first], 1.0 / 9.0 / (TAU.sqrt() * width)), 0.0);
+            assert_eq!(half_thickness(&[first], peak() / 9.0), 0.0);
             let third = first.cross(second);
-            let alone = (TAU.sqrt() * width).powi(-3);
-            assert_eq!(half_thickness(&[first, second, third], alone), 0.0);
+            assert_eq!(half_thickness(&[first, second, third], peak().powi(3)), 0.0);
         }
     }
 
@@ -474,7 +477,7 @@ mod tests {
     #[test]
     fn sheets_reach_their_corners_and_thick_bodies_are_not_sheets() {
         let gaussian = |x: f64| -x * x / (2.0 * width() * width()) * LOG2_E;
-        let stretched = |stretch: f64| (stretch.powi(-2) / (TAU.sqrt() * width())).log2();
+        let stretched = |stretch: f64| (stretch.powi(-2) * peak()).log2();
         let certainty =
             |place: DVec3, logarithm: &dyn Fn(DVec3) -> f64| sheet_at(place, logarithm).1;
         let corner = |p: DVec3| stretched(1.6) + gaussian(p.z) + half(p.x) + half(p.y);

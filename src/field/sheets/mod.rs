@@ -14,7 +14,8 @@
 //!    of L are the moments of the particles under that Gaussian: s^2 grad L is their mean offset,
 //!    and s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an
 //!    eigenvalue of B is 1 across a sheet or a filament, where the particles have no width, and 0
-//!    along it, where the density does not change.
+//!    along it, where the density does not change. s is the width of the Gaussian before it is cut
+//!    off, because the cut changes only its tails.
 //! 3. Distance. The middle of the sheet lies at the offset s (2 B - B^2) g from the cell. Along the
 //!    sheet this offset is 0, and across it, it is the mean offset. At a rim, the eigenvalues of B
 //!    are in between, so the distance to the middle grows smoothly there.
@@ -29,18 +30,19 @@
 //!    of a stretching sheet then changes slowly.
 //! 5. Certainty. There is a sheet under three conditions: neighbours are no farther apart than
 //!    requested, according to the density at the middle; the middle is near; and B is nearly a
-//!    projection. The squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at
-//!    their rims, and often twice as large in spray. At the corners of a sheet, this distance is as
+//!    projection. The squared distance |B - B^2|^2 is at most 0.04 in sheets, in filaments and at
+//!    their rims, and often three times as large in spray. At the corners of a sheet, this distance is as
 //!    large as in spray, and the middle seems far away. But at corners, det(I - B), the product of
 //!    the particles' variances, shows that the particles lie in a plane, so the limits for the
 //!    distance from a projection and for the middle are wider there. A thick body (T < 0.4), its
-//!    surface (det(I - B) > 0.35) and a drop of a few particles (T > 2.45) are not sheets.
+//!    surface (det(I - B) > 0.35) and a drop of a few particles (T > 2.6) are not sheets.
 //! 6. Blended. The certainty is averaged under a Gaussian of 0.55 spacings, so that no isolated
 //!    single cells remain at rims and in spray. The average is the weight with which the shares of
 //!    the sheet replace the shares of drops (see [`distance`](super::distance)). Across the sheet,
 //!    its shares have a Gaussian profile of the width `PROFILE` or, in coarse cells,
 //!    `PROFILE_CELLS`. At the distance R from the middle, they have the value of the shares on a
-//!    drop's surface.
+//!    drop's surface. In the middle of a body, shares may be above 1, up to 2; if they were
+//!    limited to 1, interpolation by splines would lower them at the surface.
 //! 7. Joined. A sheet replaces the bulk's surface earlier than drops do, by `STANDS_OUT_EARLIER`
 //!    times its certainty, because the surface of the bulk vanishes from a sheet before the sheet's
 //!    particles stand out.
@@ -85,7 +87,7 @@ const PROFILE: f64 = 0.45;
 /// The minimum width of a sheet's profile, in cells of the sheet.
 const PROFILE_CELLS: f64 = 0.9;
 /// The minimum half thickness of sheets, in cells of the mesh.
-const LEAST_CELLS: f64 = 0.62;
+const LEAST_CELLS: f64 = 0.66;
 /// The minimum half thickness of rims and filaments, in cells of the mesh.
 const LEAST_RIM_CELLS: f64 = 0.85;
 /// The length, in spacings, that is added to both minimum half thicknesses.
@@ -102,7 +104,7 @@ const MOST_GRADUAL: f64 = 4.0;
 const GONE: f64 = 1.12;
 /// The factor by which filaments may be stretched farther than sheets, because spray seldom looks
 /// like filaments.
-const FILAMENTS_FARTHER: f64 = 1.15;
+const FILAMENTS_FARTHER: f64 = 1.08;
 /// The width of the Gaussian that shows the bulk, in spacings.
 pub(in crate::field) const BULK_WIDTH: f64 = 1.45;
 /// The cut-off of this Gaussian, in standard deviations. The cut keeps the reach of sheets short,
@@ -117,7 +119,7 @@ pub const WEIGHT_BITS: u32 = 15;
 /// to this value before they are smoothed.
 pub const LEAST_WEIGHT: u32 = 128;
 /// The range of the squared distance of B from a projection in which drops replace sheets.
-pub const IMPURE: Ramp = ramp([0.06, 0.09]);
+pub const IMPURE: Ramp = ramp([0.04, 0.06]);
 /// The factor that converts the squared distance of B from a projection to the degree to which a
 /// cell is part of a rim. The degree is 1 if the squared distance is at least 1 / 16.
 pub const BY_RIM: i32 = 16;
@@ -135,7 +137,7 @@ const LEAST_ACROSS: f64 = 0.4;
 /// The range of T in which sheets fade in.
 pub const THIN: Ramp = ramp([LEAST_ACROSS, 0.7]);
 /// The range of T in which sheets fade out again, because the body is round.
-pub const ROUND: Ramp = ramp([2.2, 2.45]);
+pub const ROUND: Ramp = ramp([2.3, 2.6]);
 /// Sheets fade out over this range of the difference between the density's natural logarithms at
 /// the middle and at the cell, because the middle is then too far away.
 pub const BEYOND: Ramp = ramp([0.6, 0.75]);
@@ -261,9 +263,12 @@ impl Sheets {
     ) -> Option<Self> {
         let stretch = stretch.spacings()?;
         let spline = if wide.level > 0 { SPLINE } else { 0.0 };
-        let (weights, width) =
+        let (weights, _) =
             gaussian(((WIDTH / wide.edge).powi(2) - spline).sqrt(), LEAST_VARIANCE, CUT);
-        let width = (width * width + spline).sqrt() * wide.edge;
+        // Near a sheet, the cut does not change the shape of the density, only its height.
+        let (variance, higher) = weights.before_cut();
+        let width = (variance + 0.25 + spline).sqrt() * wide.edge;
+        let peak = higher / (TAU.sqrt() * width);
         let plateau = wide.plateau();
         // A plateau three times as high must still fit into a sample.
         let gain = (0..12)
@@ -272,9 +277,9 @@ impl Sheets {
         let plateau = plateau * f64::from(1_u32 << gain);
         let step = if cell < 0.55 - 1e-9 { 2 } else { 1 };
         let apart = width / (f64::from(step) * cell);
-        let of_sheet = |thickness: f64| thickness / (TAU.sqrt() * width);
-        let of_filament = |area: f64| area / (TAU * width * width);
-        let of_drop = |volume: f64| volume / (TAU.sqrt() * width).powi(3);
+        let of_sheet = |thickness: f64| thickness * peak;
+        let of_filament = |area: f64| area * peak.powi(2);
+        let of_drop = |volume: f64| volume * peak.powi(3);
         let profile = PROFILE.max(PROFILE_CELLS * cell);
         let profile_joined = profile * profile + drops.spline * cell * cell;
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
