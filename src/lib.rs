@@ -265,6 +265,7 @@ pub mod picture {
 /// Files: formats, outputs that are checked before the reconstruction starts, and the contents of
 /// files.
 pub mod files {
+    pub use crate::io::houdini::Primitives;
     pub use crate::io::input::{InputFormat, file_and_step};
     pub use crate::io::mnf::is_packed;
     pub use crate::io::output::MeshFormat;
@@ -278,8 +279,8 @@ pub mod files {
     pub use crate::particles::occurring::{Value, ValueCounts};
     pub use crate::particles::{AttributeInfo, AttributeKind, Label, velocity_attribute};
     pub use crate::reconstruction::{
-        FrameInfo, Info, MeshInfo, Output, PackReport, PackedOutput, ParticlesInfo, VolumeInfo,
-        info, info_with, open_particles, usual_up,
+        FrameInfo, GeometryInfo, Info, MeshInfo, Output, PackReport, PackedOutput, ParticlesInfo,
+        VolumeInfo, info, info_with, open_particles, usual_up,
     };
     pub use crate::simulation::{FrameFile, files, frames};
 }

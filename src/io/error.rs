@@ -9,6 +9,8 @@ use crate::particles::RereadError;
 use crate::particles::selection::SelectionFault;
 use crate::system::reopened::ReopenedError;
 
+use super::houdini::Primitives;
+
 /// An error that occurred while reading a file.
 #[derive(Debug, Error)]
 #[error("{}: {fault}", path.display())]
@@ -83,6 +85,9 @@ pub enum ReadFault {
         /// Number of cells with an area or a volume.
         faces: u64,
     },
+    /// A Houdini geometry without particles, because primitives use all of its points.
+    #[error("the file contains {0}, but no other points; {remedy}", remedy = .0.remedy())]
+    OnlyPrimitives(Primitives),
     /// A file that occurs twice in a list of files to join.
     #[error("this is the same input as {}; list each input only once", other.display())]
     Twice {

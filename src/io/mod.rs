@@ -71,6 +71,7 @@ use crate::particles::velocity::velocity_rank;
 pub use crate::surface::mesh::up::UpAxis;
 use error::malformed;
 pub use error::{ColourScale, ReadError, ReadFault, WriteError, WriteFault};
+use houdini::Primitives;
 pub use pieces::{PieceChunk, Pieces};
 
 /// An opened particle file. The reader has parsed its header, and has checked the counts in the
@@ -123,13 +124,8 @@ pub enum UnreadPart {
     },
     /// The different names of blocks whose particles are joined.
     Names(Vec<String>),
-    /// Polygons and other primitives in a particle file, and the points that they use.
-    Primitives {
-        /// The name of each kind of primitive, with the number of primitives.
-        kinds: Vec<(String, u64)>,
-        /// Number of points that the primitives use.
-        points: u64,
-    },
+    /// Polygons and other primitives in a Houdini geometry, and the points that they use.
+    Primitives(Primitives),
     /// The times of several frames in a table, whose rows are read as one frame.
     Times {
         /// The name of the column of times.
@@ -183,7 +179,7 @@ impl UnreadPart {
             }
             Self::Block { .. }
             | Self::Names(_)
-            | Self::Primitives { .. }
+            | Self::Primitives(_)
             | Self::Times { .. }
             | Self::RepeatedStep
             | Self::Coordinates { .. } => None,
@@ -223,11 +219,7 @@ impl fmt::Display for UnreadPart {
                 let names = names.collect::<Vec<_>>().join(", ");
                 write!(f, "the names of the blocks ({names}), because the blocks are joined")
             }
-            Self::Primitives { kinds, points } => {
-                let kinds = kinds.iter().map(|(kind, count)| format!("{count} {kind}"));
-                let kinds = kinds.collect::<Vec<_>>().join(", ");
-                write!(f, "{kinds} and their {points} points")
-            }
+            Self::Primitives(primitives) => write!(f, "{primitives}"),
             Self::Times { column, count, first, last } => write!(
                 f,
                 "the times in column {column:?} ({count} different values from {first} to \

@@ -79,6 +79,15 @@ impl AttributeInfo {
     pub fn is_velocity(&self) -> bool {
         self.name == "velocity" && self.components == 3
     }
+
+    /// Whether this is a direction, which rotates with the mesh. Attributes with three components
+    /// are directions, except colours and integers.
+    pub(crate) fn is_direction(&self) -> bool {
+        self.components == 3
+            && !self.kind.is_colour()
+            && !self.kind.is_whole()
+            && !kind::is_colour_name(&self.name)
+    }
 }
 
 /// A number of particles, as text for a message.

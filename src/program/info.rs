@@ -6,8 +6,8 @@ use bytesize::ByteSize;
 use clap::Args;
 use meniscus::error::{shown, significant};
 use meniscus::files::{
-    AttributeInfo, FrameInfo, GridInfo, Info, InputFormat, MeshFormat, MeshInfo, ParticlesInfo,
-    ValueCounts, VolumeInfo, files, info_with, is_packed,
+    AttributeInfo, FrameInfo, GeometryInfo, GridInfo, Info, InputFormat, MeshFormat, MeshInfo,
+    ParticlesInfo, ValueCounts, VolumeInfo, files, info_with, is_packed,
 };
 use meniscus::{Error, Settings, Where};
 
@@ -221,6 +221,15 @@ fn describe(info: &Info) -> String {
                 bounds.iter().for_each(|bounds| line("  box", corners(bounds)));
             }
             format!("{}: OpenVDB, {} grids", file.display(), grids.len())
+        }
+        Info::Geometry(GeometryInfo { file, format, primitives, bounds, attributes, .. }) => {
+            let kinds = primitives.kinds.iter().map(|(kind, count)| counted(*count, kind));
+            line("primitives", kinds.collect::<Vec<_>>().join(", "));
+            line("points", primitives.points.to_string());
+            bounds.iter().for_each(|bounds| line("box", corners(bounds)));
+            line("attributes", names(attributes));
+            line("particles", format!("none; {}", primitives.remedy()));
+            format!("{}: {format}", file.display())
         }
     };
     format!("{title}\n{}", lines.join("\n"))

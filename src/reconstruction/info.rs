@@ -1,4 +1,4 @@
-//! Contents of a particle file, a packed frame, a mesh or a volume.
+//! Contents of a particle file, a packed frame, a mesh, a volume or a Houdini geometry.
 
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
@@ -10,8 +10,9 @@ use crate::brick::{DifField, InvalidParticles};
 use crate::error::Error;
 use crate::frame::{CountedFrame, Resources};
 use crate::grid::units::{MeanCount, MemoryBudget};
-use crate::io::bytes::{Unpacking, open_bytes};
+use crate::io::bytes::{Unpacking, open_bytes, open_bytes_within};
 use crate::io::collection::{frame_of, is_list};
+use crate::io::houdini::{Primitives, read_points};
 use crate::io::input::{InputFormat, KNOWN, file_and_step, holds_mesh, open_wanted};
 use crate::io::mnf::{is_packed, open_frame};
 use crate::io::output::{MeshFormat, mesh_format, read_mesh};
@@ -42,6 +43,8 @@ pub enum Info {
     Mesh(MeshInfo),
     /// Grids of voxels.
     Volume(VolumeInfo),
+    /// A Houdini geometry without particles, such as a mesh of polygons.
+    Geometry(GeometryInfo),
 }
 
 /// Contents of a particle file.
@@ -157,6 +160,22 @@ pub struct VolumeInfo {
     pub grids: Vec<GridInfo>,
 }
 
+/// Contents of a Houdini geometry without particles.
+#[derive(Debug, Clone, Serialize)]
+#[non_exhaustive]
+pub struct GeometryInfo {
+    /// The file.
+    pub file: PathBuf,
+    /// Name of the file format.
+    pub format: &'static str,
+    /// The primitives, such as polygons. They use all points of the file.
+    pub primitives: Primitives,
+    /// The lowest and highest corner of the bounding box of the finite points.
+    pub bounds: Option<[[f64; 3]; 2]>,
+    /// The numeric attributes of the points besides positions.
+    pub attributes: Vec<AttributeInfo>,
+}
+
 /// The extensions of all supported files, for an error message.
 static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
     format!(
@@ -164,7 +183,8 @@ static ALL_KNOWN: LazyLock<String> = LazyLock::new(|| {
     )
 });
 
-/// Summarizes the contents of a particle file, a packed frame, a mesh or a volume.
+/// Summarizes the contents of a particle file, a packed frame, a mesh, a volume or a Houdini
+/// geometry.
 ///
 /// # Errors
 /// [`Error::Read`] if the file cannot be read, or has an unknown format.
@@ -182,7 +202,7 @@ pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Er
     if is_list(file) {
         return match &frame_of(path, file, step)?.blocks[..] {
             [only] => info_with(&only.file, settings),
-            _ => particles(path, settings).map(Info::Particles),
+            _ => particles(path, settings),
         };
     }
     if is_packed(path) {
@@ -190,12 +210,12 @@ pub fn info_with(path: impl AsRef<Path>, settings: &Settings) -> Result<Info, Er
     } else if matches!(MeshFormat::of(path), Some(MeshFormat::Vdb { .. })) {
         volume(path).map(Info::Volume)
     } else if settings.format.is_some() {
-        particles(path, settings).map(Info::Particles)
+        particles(path, settings)
     } else if mesh_format(path).is_some() && holds_mesh(path)? {
         // The reader of particles refuses meshes in other formats, such as .vtu.
         mesh(path).map(Info::Mesh)
     } else if InputFormat::of(file).is_some() {
-        particles(path, settings).map(Info::Particles)
+        particles(path, settings)
     } else {
         Err(ReadError::new(path, ReadFault::UnknownExtension { known: &ALL_KNOWN }).into())
     }
@@ -249,7 +269,26 @@ fn volume(path: &Path) -> Result<VolumeInfo, Error> {
     Ok(VolumeInfo { file: path.to_owned(), grids })
 }
 
-fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
+fn geometry(
+    file: PathBuf,
+    primitives: Primitives,
+    unpacking: Unpacking,
+) -> Result<GeometryInfo, Error> {
+    let bytes = open_bytes_within(&file, unpacking)?;
+    let opened = read_points(bytes, WantedAttributes::All, unpacking)
+        .map_err(|fault| ReadError::new(&file, fault))?;
+    let points = &opened.particles;
+    Ok(GeometryInfo {
+        file,
+        format: opened.format,
+        primitives,
+        bounds: bounds(points).map(|b| [b.lo.to_array(), b.hi.to_array()]),
+        attributes: points.attributes().to_vec(),
+    })
+}
+
+/// The particles of a file. For a Houdini geometry without particles, its primitives and points.
+fn particles(path: &Path, settings: &Settings) -> Result<Info, Error> {
     let scratch = std::env::temp_dir();
     let unpacking =
         Unpacking { in_memory: default_memory().0 / 8, scratch: &scratch, control: None };
@@ -257,7 +296,14 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
         attributes: WantedAttributes::All,
         ..settings.wanted(&SizeChoice::Ignored)
     };
-    let file = open_wanted(path, wanted, unpacking)?;
+    let file = match open_wanted(path, wanted, unpacking) {
+        Err(ReadError { path: file, fault: ReadFault::OnlyPrimitives(primitives) })
+            if file == path =>
+        {
+            return geometry(file, primitives, unpacking).map(Info::Geometry);
+        }
+        opened => opened?,
+    };
     let particles = &file.particles;
     let bounds = bounds(particles);
     let request = SamplingRequest {
@@ -275,7 +321,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
     let known = cells.as_ref().and_then(|cells| cells.spacing.clone());
     let (nearest_neighbours, spacing_unknown) =
         spacing_unknown.map_or((None, None), |(why, suggested)| (suggested, Some(why)));
-    Ok(ParticlesInfo {
+    Ok(Info::Particles(ParticlesInfo {
         file: path.to_owned(),
         format: file.format,
         particles: particles.len(),
@@ -306,7 +352,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<ParticlesInfo, Error> {
             .map_or(Vec::new(), |cells| cells.warnings.iter().map(ToString::to_string).collect()),
         spacing_unknown,
         nearest_neighbours,
-    })
+    }))
 }
 
 /// Estimated peak memory, in bytes, of a reconstruction with default settings.

@@ -26,6 +26,7 @@ use crate::frame::{CoincidentParticles, Shortfall};
 use crate::grid::units::Isovalue;
 use crate::io::UnreadPart;
 use crate::io::glb::GlbLayout;
+use crate::io::houdini::Primitives;
 use crate::io::output::MeshFormat;
 use crate::particles::mixture::Mixture;
 use crate::particles::occurring::{Value, ValueCounts};
@@ -95,6 +96,10 @@ fn every_message_matches_the_committed_list() {
 
 fn wide() -> UnreadPart {
     UnreadPart::WideArray { name: "spectrum".into(), numbers: 100 }
+}
+
+fn primitives(kind: &str, count: u64, points: u64) -> Primitives {
+    Primitives { kinds: vec![(kind.into(), count)], points }
 }
 
 fn requests() -> String {
@@ -236,6 +241,9 @@ fn files() -> String {
         Line { line: 12, what: "\"north\" is not a number (column x)".into() },
         Changed,
         Mesh { faces: 12 },
+        OnlyPrimitives(primitives("polygon", 12, 8)),
+        OnlyPrimitives(primitives("volume", 1, 1)),
+        OnlyPrimitives(primitives("PackedGeometry primitive", 2, 2)),
         Twice { other: path("a.bgeo") },
         Incomplete("frame 2 has no piece 1, but other frames do; add the piece".into()),
         ColourScale {
@@ -444,7 +452,7 @@ fn warnings(all: &mut String) {
         Attribute(known),
         Block { name: "walls".into(), holds: "a grid".into() },
         Names(vec!["fluid".into(), "boundary".into()]),
-        Primitives { kinds: vec![("polygons".into(), 12)], points: 8 },
+        Primitives(primitives("polygon", 12, 8)),
         Times { column: "time".into(), count: 3, first: "0".into(), last: "0.5".into() },
         RepeatedStep,
         WideArray { name: "spectrum".into(), numbers: 100 },

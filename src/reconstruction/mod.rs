@@ -47,7 +47,9 @@ pub use cells::{CellSize, Cells, FoundWalls, Slab, SpacingHints};
 pub(crate) use checked::{CheckedRequest, StartedRequest};
 pub(crate) use extract::ExtractedSurface;
 pub use frame::Frame;
-pub use info::{FrameInfo, Info, MeshInfo, ParticlesInfo, VolumeInfo, info, info_with};
+pub use info::{
+    FrameInfo, GeometryInfo, Info, MeshInfo, ParticlesInfo, VolumeInfo, info, info_with,
+};
 pub use lattice::{moved, on_sound_grid, origin_for_lattice};
 pub use needs::Needs;
 pub(crate) use needs::mesh_bytes;

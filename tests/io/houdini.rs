@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use meniscus::files::{Info, Primitives, info};
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input;
 use meniscus::internals::io::output::MeshFormat;
@@ -266,8 +267,9 @@ fn points_of_primitives_are_omitted_and_counted_by_kind() {
         let file = read(whole.document(form)).unwrap();
         let all = tuples(10);
         assert_eq!(positions(&file), [all[4], all[6], all[7], all[8], all[9]]);
-        let kinds = vec![("Sphere".to_owned(), 1), ("polygons".to_owned(), 3)];
-        let [UnreadPart::Primitives { kinds: found, points: 5 }] = &file.left_out[..] else {
+        let kinds = vec![("Sphere primitive".to_owned(), 1), ("polygon".to_owned(), 3)];
+        let [UnreadPart::Primitives(Primitives { kinds: found, points: 5 })] = &file.left_out[..]
+        else {
             panic!("{:?}", file.left_out);
         };
         let mut found = found.clone();
@@ -279,13 +281,25 @@ fn points_of_primitives_are_omitted_and_counted_by_kind() {
         let file = read(system.document(form)).unwrap();
         assert_eq!((positions(&file), file.left_out.len()), (tuples(10), 0));
     }
+}
+
+#[test]
+fn a_geometry_of_primitives_gives_an_error_with_a_remedy_by_kind() {
     let bound: Vec<f64> = (0..10).map(f64::from).collect();
-    for (kind, words) in [("p_r", "polygons"), ("PackedGeometry", "Unpack"), ("Volume", "Volume")] {
+    for (kind, name, node) in [
+        ("p_r", "polygon", "Add SOP"),
+        ("Tube", "Tube primitive", "Add SOP"),
+        ("PackedGeometry", "PackedGeometry primitive", "Unpack SOP"),
+        ("AlembicRef", "AlembicRef primitive", "Unpack SOP"),
+        ("Volume", "volume", "Points from Volume SOP"),
+        ("VDB", "VDB volume", "Points from Volume SOP"),
+    ] {
         let all = primitive(kind, vec![("n_p", Value::Integer(4))]);
         let whole = geometry(10, vec![position(10)], &bound, vec![all]);
         let fault = read(whole.document(Form::ALL[0])).unwrap_err();
-        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
-        assert!(fault.to_string().contains(words), "{fault}");
+        let ReadFault::OnlyPrimitives(found) = &fault else { panic!("{fault}") };
+        assert_eq!(*found, Primitives { kinds: vec![(name.to_owned(), 4)], points: 10 });
+        assert!(found.remedy().contains(node), "{fault}");
     }
 }
 
@@ -537,8 +551,23 @@ fn a_written_bgeo_sc_contains_points_with_all_attributes() {
         let shares = mesh.attributes[6].values.iter().map(|byte| byte / 255.0);
         assert!(attribute(&file, "rgba") == shares.collect::<Vec<_>>());
         // A mesh is not read as particles.
-        let fault = read(bytes).unwrap_err();
-        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+        let fault = read(bytes.clone()).unwrap_err();
+        let ReadFault::OnlyPrimitives(found) = &fault else { panic!("{fault}") };
+        let kinds = vec![("polygon".to_owned(), mesh.triangles.len() as u64)];
+        assert_eq!(*found, Primitives { kinds, points: mesh.positions.len() as u64 });
+        // `info` describes such a file, also if it is compressed.
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in [("a.bgeo.sc", bytes.clone()), ("a.bgeo.sc.gz", gzip(&bytes))] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, bytes).unwrap();
+            let Info::Geometry(info) = info(&path).unwrap() else { panic!("{name}") };
+            assert_eq!((&info.file, &info.primitives), (&path, found));
+            assert_eq!(info.attributes, file.particles.attributes());
+            let [low, high] = info.bounds.unwrap();
+            assert!(
+                positions(&file).iter().all(|p| (0..3).all(|i| low[i] <= p[i] && p[i] <= high[i]))
+            );
+        }
     }
 }
 

@@ -518,6 +518,14 @@ fn attributes_are_grids_of_their_values_at_the_nearest_point() {
         for grid in &grids[1..] {
             assert!(grid.active() == active, "{}", grid.name);
             assert_eq!(grid.text("class"), "unknown");
+            // Programs must rotate vectors with the volume, but not colours.
+            let vectors = match &*grid.name {
+                "v" | "force" => Some("contravariant relative"),
+                "Cd" => Some("invariant"),
+                _ => None,
+            };
+            let found = grid.metadata.contains_key("vector_type").then(|| grid.text("vector_type"));
+            assert_eq!(found, vectors, "{}", grid.name);
             assert!(grid.background.iter().all(|&number| number == 0.0));
             assert!(grid.tiles.values().flatten().all(|&number| number == 0.0), "{}", grid.name);
             let component: usize = grid.name.rsplit('_').next().unwrap().parse().unwrap_or(0);

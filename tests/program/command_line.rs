@@ -619,14 +619,21 @@ fn each_run_appends_one_json_record_to_the_statistics() {
 #[test]
 fn info_distinguishes_particles_from_meshes() {
     let folder = folder_with_ball();
-    assert!(
-        meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", "ball.ply"]).status.success()
-    );
-    let run = meniscus(folder.path(), &["info", "--json", "ball.xyz", "ball.ply"]);
+    for mesh in ["ball.ply", "ball.bgeo.sc"] {
+        assert!(meniscus(folder.path(), &["reconstruct", "ball.xyz", "-o", mesh]).status.success());
+    }
+    let run = meniscus(folder.path(), &["info", "--json", "ball.xyz", "ball.ply", "ball.bgeo.sc"]);
     assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
     let infos: serde_json::Value = serde_json::from_slice(&run.stdout).unwrap();
     assert_eq!(infos[0]["kind"], "particles");
     assert_eq!(infos[1]["kind"], "mesh");
+    assert_eq!(infos[2]["kind"], "geometry");
+    let triangles = infos[1]["triangles"].as_u64().unwrap();
+    assert_eq!(infos[2]["primitives"]["kinds"], serde_json::json!([["polygon", triangles]]));
+    assert_eq!(infos[2]["primitives"]["points"], infos[1]["vertices"]);
+    let text = meniscus(folder.path(), &["info", "ball.bgeo.sc"]).stdout;
+    let text = String::from_utf8(text).unwrap();
+    assert!(text.contains(&format!("{triangles} polygons")) && text.contains("Add SOP"), "{text}");
     let spacing = infos[0]["spacing"].as_f64().unwrap();
     assert!((spacing / 0.5 - 1.0).abs() < 0.05, "{spacing}");
     assert_eq!(meniscus(folder.path(), &["info", "missing.ply"]).status.code(), Some(3));

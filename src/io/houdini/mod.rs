@@ -10,6 +10,7 @@ mod blosc;
 mod container;
 mod json;
 mod points;
+mod primitives;
 mod schema;
 mod text;
 mod write;
@@ -27,6 +28,7 @@ use super::{ParticleFile, ReadError, ReadFault, UnreadPart, bgeo, malformed};
 use binary::Binary;
 use json::JsonNumber;
 use points::{NumberBytes, UnpackedColumns};
+pub use primitives::Primitives;
 pub(super) use schema::MOST_TEXTS;
 use schema::{Geometry, HoudiniAttribute, NumberLocation};
 use text::Text;
@@ -89,7 +91,7 @@ pub(super) fn open_particles(
 ///
 /// # Errors
 /// [`ReadFault::Malformed`] and [`ReadFault::Truncated`] for damaged files,
-/// [`ReadFault::Unsupported`] if all points belong to polygons, packed geometry or other
+/// [`ReadFault::OnlyPrimitives`] if all points belong to polygons, packed geometry or other
 /// primitives, and [`ReadFault::Scratch`] if the scratch file cannot be written.
 pub fn read_particles(
     bytes: Bytes,
@@ -181,7 +183,7 @@ impl OpenedGeometry {
     /// Returns `None` if all points are particles.
     ///
     /// # Errors
-    /// [`ReadFault::Unsupported`] if there are points, but no particles.
+    /// [`ReadFault::OnlyPrimitives`] if there are points, but no particles.
     fn select_particles(&self) -> Result<Option<Sieve>, ReadFault> {
         let geometry = &self.geometry;
         if geometry.kinds.is_empty() {
@@ -219,7 +221,7 @@ impl OpenedGeometry {
         }
         let sieve = Sieve::new(unused);
         if sieve.count() == 0 && points > 0 {
-            return Err(no_particles(geometry));
+            return Err(ReadFault::OnlyPrimitives(primitives(geometry, points)));
         }
         Ok(Some(sieve).filter(|sieve| (sieve.count() as u64) < points))
     }
@@ -289,7 +291,8 @@ impl OpenedGeometry {
             None => (ParticleRows::All(*points as usize), None),
             Some(sieve) => {
                 let count = *points - sieve.count() as u64;
-                (ParticleRows::Selected(sieve), Some(left_out(&self.geometry, count)))
+                let primitives = primitives(&self.geometry, count);
+                (ParticleRows::Selected(sieve), Some(UnreadPart::Primitives(primitives)))
             }
         };
         let store: ColumnStore = ColumnStore::new(source, rows, position, attributes);
@@ -301,39 +304,7 @@ impl OpenedGeometry {
     }
 }
 
-/// The number of primitives of each kind.
-fn primitive_counts(geometry: &Geometry) -> Vec<(String, u64)> {
-    let named = geometry.kinds.iter().map(|(kind, count)| {
-        let known = match &**kind {
-            "Poly" | "p_r" | "Polygon_run" => "polygons",
-            "c_r" | "PolygonCurve_run" => "curves",
-            other => other,
-        };
-        (known.to_owned(), *count)
-    });
-    let mut all: Vec<(String, u64)> = Vec::new();
-    for (kind, count) in named {
-        match all.iter_mut().find(|(other, _)| *other == kind) {
-            Some((_, sum)) => *sum = sum.saturating_add(count),
-            None => all.push((kind, count)),
-        }
-    }
-    all
-}
-
-fn left_out(geometry: &Geometry, points: u64) -> UnreadPart {
-    UnreadPart::Primitives { kinds: primitive_counts(geometry), points }
-}
-
-fn no_particles(geometry: &Geometry) -> ReadFault {
-    let primitives = left_out(geometry, geometry.points);
-    let is_packed = |kind: &str| kind.starts_with("Packed") || kind == "AlembicRef";
-    let remedy = match geometry.kinds.keys().any(|kind| is_packed(kind)) {
-        true => "unpack it with an Unpack SOP before saving",
-        false => {
-            "to use these points as particles, delete the primitives but keep the points with \
-             an Add SOP"
-        }
-    };
-    ReadFault::Unsupported(format!("the file contains {primitives}, but no other points; {remedy}"))
+/// The primitives of a geometry, which use this number of points.
+fn primitives(geometry: &Geometry, points: u64) -> Primitives {
+    Primitives::new(geometry.kinds.iter().map(|(kind, count)| (&**kind, *count)), points)
 }

@@ -18,11 +18,20 @@ const ZIP: u32 = 1;
 /// Compression flag of a grid: only the values of active voxels are stored.
 const ACTIVE_VALUES: u32 = 2;
 
+/// OpenVDB's name for vectors that do not change when a program transforms their grid, such as
+/// colours.
+pub const INVARIANT: &str = "invariant";
+/// OpenVDB's name for vectors that a program rotates and scales together with their grid, such as
+/// velocities.
+pub const CONTRAVARIANT_RELATIVE: &str = "contravariant relative";
+
 /// The data of a grid except its tree.
 #[derive(Debug, Clone)]
 pub struct GridHead {
     pub name: String,
     pub kind: Kind,
+    /// For a grid of vectors, [`INVARIANT`] or [`CONTRAVARIANT_RELATIVE`].
+    pub vector_type: Option<&'static str>,
     pub lattice: Lattice,
     pub zip: bool,
     /// The number of active voxels.
@@ -86,9 +95,7 @@ impl GridHead {
             ("is_saved_as_half_float", ("bool", vec![u8::from(self.kind.is_half())])),
             ("name", text(&self.name)),
         ];
-        if let Kind::Real { components: 3, .. } = self.kind {
-            metadata.push(("vector_type", text("invariant")));
-        }
+        metadata.extend(self.vector_type.map(|name| ("vector_type", text(name))));
         out.extend((metadata.len() as u32).to_le_bytes());
         for (name, (kind, value)) in metadata {
             put_text(&mut out, name);

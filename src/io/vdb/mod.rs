@@ -8,7 +8,8 @@
 //! The voxels are the cells of the particles' grid. An attribute with one component is stored as a
 //! float grid or, if it contains integers, as an int32 or int64 grid. An attribute with three
 //! floating-point components is stored as a vec3s grid. The first colour is also stored as a vec3s
-//! grid, without its alpha. Other attributes have one grid per component.
+//! grid, without its alpha. Other attributes have one grid per component. The metadata of a vec3s
+//! grid says whether its vectors rotate with the grid; only colours do not.
 //!
 //! Distances, velocities and colours are stored in half precision if their range allows it. This
 //! changes a distance by less than 0.002 voxels. Only values in the band are stored. With
@@ -36,7 +37,7 @@ use crate::surface::mesh::source::{Lattice, MeshSource};
 
 use super::encode::{in_order, write_pieces};
 use super::names::unique_names;
-use archive::{GridHead, header};
+use archive::{CONTRAVARIANT_RELATIVE, GridHead, INVARIANT, header};
 pub use read::{GridInfo, read_grids};
 use tree::{TreeLeaf, sort_key, topology};
 use values::{Kind, put_sides, put_zipped, sides_bytes};
@@ -143,15 +144,18 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
     let at = head.len() as u64;
     let mut writer = GridWriter { out, at, mesh, lattice, zip, leaves: &leaves, voxels, bounds };
     let size = distance.bytes();
-    writer.write(SURFACE, distance, |leaf, out| {
+    writer.write(SURFACE, distance, None, |leaf, out| {
         let distances = &blocks[leaf.block as usize].distances[leaf.first as usize * size..];
         out.extend(&distances[..leaf.tree.active_count() * size]);
     })?;
     for grids in grid_batches(&grids) {
         let values = AttributeValues::read(mesh, grids)?;
         for grid in grids {
-            let kind = values.kind_of(grid, &attributes[grid.attribute]);
-            writer.write(&grid.name, kind, |leaf, out| {
+            let info = &attributes[grid.attribute];
+            let kind = values.kind_of(grid, info);
+            let vectors = if info.is_direction() { CONTRAVARIANT_RELATIVE } else { INVARIANT };
+            let vector_type = (grid.components.len() == 3).then_some(vectors);
+            writer.write(&grid.name, kind, vector_type, |leaf, out| {
                 let triangles = &blocks[leaf.block as usize].triangles[leaf.first as usize..];
                 for (voxel, &triangle) in leaf.tree.active_voxels().zip(triangles) {
                     let point = level_set.nearest_point(triangle, voxel);
@@ -258,6 +262,7 @@ impl GridWriter<'_> {
         &mut self,
         name: &str,
         kind: Kind,
+        vector_type: Option<&'static str>,
         put: impl Fn(&StoredLeaf, &mut Vec<u8>) + Sync,
     ) -> io::Result<()> {
         let Self { mesh, leaves, zip, lattice, voxels, bounds, .. } = *self;
@@ -301,7 +306,8 @@ impl GridWriter<'_> {
         };
         let tree = leaves.par_iter().map(|leaf| &leaf.tree);
         let tree = topology(tree, kind, BAND * lattice.step as f32, zip);
-        let head = GridHead { name: name.to_owned(), kind, lattice, zip, voxels, bounds };
+        let name = name.to_owned();
+        let head = GridHead { name, kind, vector_type, lattice, zip, voxels, bounds };
         let head = head.bytes(self.at, tree.len() as u64, bytes);
         self.out.write_all(&head)?;
         self.out.write_all(&tree)?;

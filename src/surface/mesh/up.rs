@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 
 use super::source::{Lattice, MeshSource, Outline, Vertices};
 use crate::particles::AttributeInfo;
-use crate::particles::kind::is_colour_name;
 
 /// The axis that points up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -63,14 +62,7 @@ pub struct TurnedMesh<'a> {
 impl<'a> TurnedMesh<'a> {
     /// Rotates `mesh` from up axis `from` to up axis `to`.
     pub fn new(mesh: &'a dyn MeshSource, from: UpAxis, to: UpAxis) -> Self {
-        // Attributes with three components are directions, except colours and integers.
-        let is_direction = |info: &AttributeInfo| {
-            info.components == 3
-                && !info.kind.is_colour()
-                && !info.kind.is_whole()
-                && !is_colour_name(&info.name)
-        };
-        let directions = mesh.attributes().iter().map(is_direction).collect();
+        let directions = mesh.attributes().iter().map(AttributeInfo::is_direction).collect();
         Self { mesh, from, to, directions }
     }
 

@@ -1,0 +1,88 @@
+//! The primitives of a geometry, whose points are not particles.
+
+use std::fmt;
+
+use serde::Serialize;
+
+/// Polygons, volumes and other primitives in a Houdini geometry, and the points that they use.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Primitives {
+    /// The singular name of each kind of primitive, such as `polygon`, and the number of
+    /// primitives.
+    pub kinds: Vec<(String, u64)>,
+    /// Number of points that the primitives use.
+    pub points: u64,
+}
+
+impl Primitives {
+    /// Combines the kinds of primitives, under the names that the file uses, with the number of
+    /// points that the primitives use.
+    pub(super) fn new<'a>(stored: impl Iterator<Item = (&'a str, u64)>, points: u64) -> Self {
+        let mut kinds: Vec<(String, u64)> = Vec::new();
+        for (stored, count) in stored {
+            let kind = match stored {
+                "Poly" | "p_r" | "Polygon_run" => "polygon".to_owned(),
+                "c_r" | "PolygonCurve_run" => "curve".to_owned(),
+                "Volume" => "volume".to_owned(),
+                "VDB" => "VDB volume".to_owned(),
+                other => format!("{other} primitive"),
+            };
+            match kinds.iter_mut().find(|(known, _)| *known == kind) {
+                Some((_, sum)) => *sum = sum.saturating_add(count),
+                None => kinds.push((kind, count)),
+            }
+        }
+        Self { kinds, points }
+    }
+
+    /// The way to get particles from a geometry that contains only primitives, for a message.
+    #[must_use]
+    pub fn remedy(&self) -> &'static str {
+        let has = |is_kind: fn(&str) -> bool| self.kinds.iter().any(|(kind, _)| is_kind(kind));
+        if has(|kind| kind.starts_with("Packed") || kind.starts_with("AlembicRef ")) {
+            "unpack packed geometry with an Unpack SOP before saving"
+        } else if has(|kind| kind.ends_with("volume")) {
+            "volumes are not particles, but a Points from Volume SOP makes particles from a volume"
+        } else {
+            "to use points of primitives as particles, delete the primitives but keep the points \
+             with an Add SOP"
+        }
+    }
+}
+
+impl fmt::Display for Primitives {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let counted = |(kind, count): &(String, u64)| {
+            format!("{count} {kind}{}", if *count == 1 { "" } else { "s" })
+        };
+        let kinds = self.kinds.iter().map(counted).collect::<Vec<_>>().join(", ");
+        let is_one = matches!(self.kinds[..], [(_, 1)]);
+        let whose = if is_one { "its" } else { "their" };
+        match self.points {
+            1 => write!(f, "{kinds} and {whose} point"),
+            points => write!(f, "{kinds} and {whose} {points} points"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nouns_and_pronouns_agree_with_the_numbers_of_primitives() {
+        for (stored, points, text) in [
+            (&[("Volume", 1)][..], 1, "1 volume and its point"),
+            (&[("VDB", 2)], 2, "2 VDB volumes and their 2 points"),
+            (&[("Poly", 1)], 4, "1 polygon and its 4 points"),
+            (&[("p_r", 2), ("Poly", 1)], 8, "3 polygons and their 8 points"),
+            (
+                &[("Sphere", 1), ("Tube", 2)],
+                1,
+                "1 Sphere primitive, 2 Tube primitives and their point",
+            ),
+        ] {
+            assert_eq!(Primitives::new(stored.iter().copied(), points).to_string(), text);
+        }
+    }
+}
