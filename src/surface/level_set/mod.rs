@@ -131,6 +131,7 @@ impl LevelSet {
     }
 
     /// The point of a triangle that is nearest to a voxel.
+    #[inline]
     pub fn nearest_point(&self, triangle: u32, voxel: IVec3) -> NearestPoint {
         let corners = self.triangles[triangle as usize];
         let from_voxel = |vertex| self.position(vertex) - voxel.as_dvec3();

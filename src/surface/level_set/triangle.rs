@@ -78,6 +78,7 @@ impl Triangle {
 /// The weights (barycentric coordinates) of a triangle's corners in the point of the triangle that
 /// is nearest to the origin; the sum of the weights is 1. The tests find whether the nearest point
 /// is a corner, on an edge, or inside the triangle (Ericson, Real-Time Collision Detection, 5.1.5).
+#[inline]
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
     let (along_b, along_c) = (-ab.dot(a), -ac.dot(a));
