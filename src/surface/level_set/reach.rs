@@ -9,16 +9,15 @@
 use glam::{IVec3, Vec3A, Vec4};
 
 use super::near::{NearTriangle, NearTriangles};
+use super::triangle::{VOXELS_PER_GROUP, greater, less};
 use super::{BAND, BLOCK};
 
-/// Number of voxels that a triangle is compared with at once. They are neighbours along z.
-pub const VOXELS_PER_GROUP: usize = 4;
 /// A margin, in voxels, added to limits on distances because distances are rounded.
 pub const ROUNDING: f32 = 1e-3;
 /// Number of coordinates whose ranges are computed at once.
 const LANES: usize = 4;
-/// Adding this to a whole number from 0 to 2^23 - 1 puts the number into the lowest bits of the sum.
-/// This converts floats to integers without the checks of a cast.
+/// Adding this to a whole number from 0 to 2^23 - 1 puts the number into the lowest bits of the
+/// sum. This converts floats to integers without the checks of a cast.
 const TO_BITS: f32 = (1 << 23) as f32;
 /// The coordinates whose ranges are computed at once, relative to the first one.
 const STEPS: Vec4 = Vec4::new(0.0, 1.0, 2.0, 3.0);
@@ -175,17 +174,6 @@ impl Reach {
             next_integers(less_of_each(middle + half, self.centre[axis] + reach)),
         ]
     }
-}
-
-/// The greater number. Unlike [`f32::max`], this takes one instruction, because it need not ignore
-/// NaN.
-fn greater(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
-
-/// The lesser number; see [`greater`].
-fn less(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
 }
 
 /// The greater number of each pair; the number in `b` if the number in `a` is NaN. Unlike this,
