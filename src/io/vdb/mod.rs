@@ -157,10 +157,11 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
             let vector_type = (grid.components.len() == 3).then_some(vectors);
             writer.write(&grid.name, kind, vector_type, |leaf, out| {
                 let triangles = &blocks[leaf.block as usize].triangles[leaf.first as usize..];
+                let mut numbers = Vec::with_capacity(VOXELS * grid.components.len());
                 for (voxel, &triangle) in leaf.tree.active_voxels().zip(triangles) {
-                    let point = level_set.nearest_point(triangle, voxel);
-                    values.put(out, grid, kind, point);
+                    values.put(&mut numbers, grid, level_set.nearest_point(triangle, voxel));
                 }
+                kind.put_all(out, &numbers);
             })?;
         }
     }
@@ -237,7 +238,7 @@ impl AttributeValues {
 
     /// Appends the attribute's value at `point` of the surface, interpolated between the corners of
     /// the triangle. Integers are not interpolated but taken from the nearest corner.
-    fn put(&self, out: &mut Vec<u8>, grid: &AttributeGrid, kind: Kind, point: NearestPoint) {
+    fn put(&self, out: &mut Vec<f32>, grid: &AttributeGrid, point: NearestPoint) {
         let NearestPoint { corners, shares } = point;
         let (first, stride) = (self.components.start, self.components.len());
         let value = |corner: usize, component: usize| {
@@ -251,7 +252,7 @@ impl AttributeValues {
                 let mean = (0..3).map(|corner| value(corner, component) * shares[corner]).sum();
                 if self.kind.is_colour() { self.kind.share(mean) } else { mean }
             };
-            kind.put(out, number);
+            out.push(number);
         }
     }
 }

@@ -8,6 +8,7 @@ use glam::IVec3;
 use rayon::prelude::*;
 
 use crate::surface::level_set::{LEAF, VOXELS, place_in_leaf};
+use crate::system::bits::ones;
 
 use super::values::{Kind, put_sides};
 
@@ -28,8 +29,9 @@ pub struct TreeLeaf {
 impl TreeLeaf {
     /// The coordinates of the active voxels, in order.
     pub fn active_voxels(&self) -> impl Iterator<Item = IVec3> {
-        let is_active = |i: &usize| self.active[i / 64] >> (i % 64) & 1 == 1;
-        (0..VOXELS).filter(is_active).map(|i| self.corner + place_in_leaf(i))
+        let of_word = |(word, &bits): (usize, &u64)| ones(bits).map(move |bit| word * 64 + bit);
+        let active = self.active.iter().enumerate().flat_map(of_word);
+        active.map(|i| self.corner + place_in_leaf(i))
     }
 
     /// The number of active voxels.

@@ -75,7 +75,7 @@ impl Kind {
     }
 
     /// Appends a number. For the integer kinds, the bits of `number` are those of a 32-bit integer.
-    pub fn put(self, out: &mut Vec<u8>, number: f32) {
+    fn put(self, out: &mut Vec<u8>, number: f32) {
         match self {
             _ if self.is_half() => out.extend(f16::from_f32(number).to_le_bytes()),
             Self::Distance { .. } | Self::Real { .. } | Self::Int32 => {

@@ -4,11 +4,12 @@
 //! a voxel is follows from the [`Sides`] of the block's columns.
 
 use glam::{DVec3, IVec3, Vec4};
+use multiversion::multiversion;
 
 use super::near::{NearTriangle, NearTriangles};
-use super::reach::{Reach, VOXELS_PER_GROUP};
+use super::reach::Reach;
 use super::sides::Sides;
-use super::triangle::Triangle;
+use super::triangle::{Triangles, VOXELS_PER_GROUP};
 use super::{BAND, BLOCK, LEAF, Leaf, first_voxel};
 
 /// The distance from a block, in voxels, within which a triangle can affect the block's distances.
@@ -19,6 +20,8 @@ const SIDE: usize = BLOCK as usize;
 const EDGE: usize = LEAF as usize;
 /// Number of leaves along the edge of a block.
 const LEAVES: usize = SIDE / EDGE;
+/// Number of lanes for two triangles.
+const PAIR: usize = 2 * VOXELS_PER_GROUP;
 /// The least cosine of the angle between the normals of two triangles that are compared together.
 const NEARLY_PARALLEL: f64 = 0.9;
 
@@ -73,8 +76,8 @@ impl Band {
         let mut index = 0;
         while index < near.triangles.len() {
             index += match &near.triangles[index..] {
-                [a, b, ..] if are_alike(a, b) => self.compare::<2>(&near, index),
-                _ => self.compare::<1>(&near, index),
+                [a, b, ..] if are_alike(a, b) => self.compare::<2, PAIR>(&near, index),
+                _ => self.compare::<1, VOXELS_PER_GROUP>(&near, index),
             };
         }
         self.near = near;
@@ -90,24 +93,23 @@ impl Band {
     }
 
     /// Compares N triangles, from number `index` on, with all voxels within their reach. Returns N.
-    fn compare<const N: usize>(&mut self, near: &NearTriangles, index: usize) -> usize {
+    fn compare<const N: usize, const LANES: usize>(
+        &mut self,
+        near: &NearTriangles,
+        index: usize,
+    ) -> usize {
         let group = &near.triangles[index..][..N];
         let Some(reach) = Reach::of(near, group) else { return N };
         self.mark_leaves(reach.first, reach.last());
         let from = reach.first.as_dvec3();
-        let mut triangles = [Triangle::default(); N];
-        for (to, triangle) in triangles.iter_mut().zip(group) {
-            let [a, b, c] = near.places(triangle.corners);
-            *to = Triangle::new([a - from, b - from, c - from], triangle.normal);
+        let mut triangles = Triangles::<LANES>::new();
+        for (i, triangle) in group.iter().enumerate() {
+            let corners = near.places(triangle.corners).map(|corner| corner - from);
+            triangles.set(i, corners, triangle.normal);
         }
         let groups = reach.groups(&mut self.groups);
-        for i in 0..groups {
-            let [x, y, z, _] = self.groups[i].map(i32::from);
-            let at = reach.first + IVec3::new(x, y, z);
-            let voxel = (at.x * BLOCK + at.y) * BLOCK + at.z;
-            let from_first = [x as f32, y as f32, z as f32];
-            self.compare_voxels(&triangles, index, voxel as usize, from_first);
-        }
+        let voxels = (&mut *self.squared, &mut *self.nearest);
+        compare_groups(&triangles, index as u32, &self.groups[..groups], reach.first, voxels);
         N
     }
 
@@ -121,34 +123,6 @@ impl Band {
                 }
             }
         }
-    }
-
-    /// Compares triangles with the [`VOXELS_PER_GROUP`] voxels that start at number `voxel`.
-    /// `index` is the number of the first triangle. `x`, `y` and `z` are the coordinates of the
-    /// first voxel, relative to the triangles' origin.
-    #[inline(always)]
-    fn compare_voxels<const N: usize>(
-        &mut self,
-        triangles: &[Triangle; N],
-        index: usize,
-        voxel: usize,
-        [x, y, z]: [f32; 3],
-    ) {
-        const WITHIN: &str = "all voxels of a group are in the block";
-        let squared = self.squared[voxel..].first_chunk_mut::<VOXELS_PER_GROUP>().expect(WITHIN);
-        let nearest = self.nearest[voxel..].first_chunk_mut::<VOXELS_PER_GROUP>().expect(WITHIN);
-        let mut known = Vec4::from_array(*squared);
-        // The bits of the triangle numbers, stored as floats. `select` copies them unchanged.
-        let mut numbers = Vec4::from_array(nearest.map(f32::from_bits));
-        let z = z + Vec4::new(0.0, 1.0, 2.0, 3.0);
-        for (number, triangle) in (index as u32..).zip(triangles) {
-            let found = triangle.squared_distances(x, y, z);
-            let number = Vec4::splat(f32::from_bits(number));
-            numbers = Vec4::select(found.cmplt(known), number, numbers);
-            known = found.min(known);
-        }
-        *squared = known.to_array();
-        *nearest = numbers.to_array().map(f32::to_bits);
     }
 
     /// Returns the leaf with the coordinates `at`, counted in leaves, if one of its voxels is in
@@ -194,6 +168,41 @@ impl Band {
             *squared = [BAND * BAND; EDGE];
         }
         Some(leaf)
+    }
+}
+
+/// Compares triangles with groups of [`VOXELS_PER_GROUP`] voxels. `index` is the number of the
+/// first triangle. The first voxels of the groups are relative to `first`, the triangles' origin.
+/// `voxels` are the squared distances and the nearest triangles of all voxels of the block.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "x86_64+sse4.1"))]
+fn compare_groups<const LANES: usize>(
+    triangles: &Triangles<LANES>,
+    index: u32,
+    groups: &[[i8; 4]],
+    first: IVec3,
+    voxels: (&mut [f32], &mut [u32]),
+) {
+    const WITHIN: &str = "all voxels of a group are in the block";
+    let (squared, nearest) = voxels;
+    for group in groups {
+        let [x, y, z] = [i32::from(group[0]), i32::from(group[1]), i32::from(group[2])];
+        let voxel = ((first.x + x) * BLOCK + first.y + y) * BLOCK + first.z + z;
+        let found = triangles.squared_distances([x as f32, y as f32, z as f32]);
+        let squared = &mut squared[voxel as usize..];
+        let squared = squared.first_chunk_mut::<VOXELS_PER_GROUP>().expect(WITHIN);
+        let nearest = &mut nearest[voxel as usize..];
+        let nearest = nearest.first_chunk_mut::<VOXELS_PER_GROUP>().expect(WITHIN);
+        let mut known = Vec4::from_array(*squared);
+        // The bits of the triangle numbers, stored as floats. `select` copies them unchanged.
+        let mut numbers = Vec4::from_array(nearest.map(f32::from_bits));
+        for (number, found) in (index..).zip(found.as_chunks::<VOXELS_PER_GROUP>().0) {
+            let found = Vec4::from_array(*found);
+            let number = Vec4::splat(f32::from_bits(number));
+            numbers = Vec4::select(found.cmplt(known), number, numbers);
+            known = found.min(known);
+        }
+        *squared = known.to_array();
+        *nearest = numbers.to_array().map(f32::to_bits);
     }
 }
 

@@ -131,6 +131,7 @@ impl LevelSet {
     }
 
     /// The point of a triangle that is nearest to a voxel.
+    #[inline]
     pub fn nearest_point(&self, triangle: u32, voxel: IVec3) -> NearestPoint {
         let corners = self.triangles[triangle as usize];
         let from_voxel = |vertex| self.position(vertex) - voxel.as_dvec3();
@@ -279,6 +280,8 @@ fn gathered(mesh: &dyn MeshSource) -> io::Result<Indexed> {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use super::*;
     use crate::surface::mesh::Mesh;
 
@@ -310,25 +313,18 @@ mod tests {
         Mesh { positions, triangles, ..Mesh::default() }
     }
 
-    /// Compares all distances of an octahedron with the distances from its triangles. Returns the
-    /// number of voxels in the band.
-    fn check_octahedron(centre: [f64; 3], radii: [f64; 3]) -> i32 {
-        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-        let level_set = LevelSet::new(&octahedron(centre, radii), lattice).unwrap();
+    /// Compares all distances with the distances from all triangles. Returns the number of voxels
+    /// in the band.
+    fn check_distances(level_set: &LevelSet) -> i32 {
         let mut checked = 0;
         for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
             let mut distances = leaf.distances.iter();
             for i in 0..VOXELS {
                 let at = leaf.corner + place_in_leaf(i);
-                let exact = distance(&level_set, at);
-                let from_centre = (at.as_dvec3() - DVec3::from(centre)) / DVec3::from(radii);
-                let inside = from_centre.abs().element_sum() < 1.0;
-                if exact > 1e-5 {
-                    assert_eq!(leaf.is_inside(i), inside, "{radii:?}: {at}");
-                }
+                let exact = distance(level_set, at);
                 let is_active = leaf.active[i / 64] >> (i % 64) & 1 == 1;
                 if (exact - 3.0).abs() > 1e-4 {
-                    assert_eq!(is_active, exact < 3.0, "{radii:?}: {at}: {exact}");
+                    assert_eq!(is_active, exact < 3.0, "{at}: {exact}");
                 }
                 if is_active {
                     let found = f64::from(distances.next().unwrap().abs());
@@ -338,6 +334,65 @@ mod tests {
             }
         }
         checked
+    }
+
+    /// Compares all distances and sides of an octahedron with the exact ones. Returns the number of
+    /// voxels in the band.
+    fn check_octahedron(centre: [f64; 3], radii: [f64; 3]) -> i32 {
+        let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+        let level_set = LevelSet::new(&octahedron(centre, radii), lattice).unwrap();
+        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+            for i in 0..VOXELS {
+                let at = leaf.corner + place_in_leaf(i);
+                let from_centre = (at.as_dvec3() - DVec3::from(centre)) / DVec3::from(radii);
+                let inside = from_centre.abs().element_sum() < 1.0;
+                if distance(&level_set, at) > 1e-5 {
+                    assert_eq!(leaf.is_inside(i), inside, "{radii:?}: {at}");
+                }
+            }
+        }
+        check_distances(&level_set)
+    }
+
+    /// A closed mesh of `rings` rings of vertices, whose distances from the origin are random.
+    fn lumpy_ball(radius: f64, rings: u32) -> Mesh {
+        let mut state = u64::from(rings);
+        let mut random = || {
+            state = state.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(1);
+            (state >> 33) as f64 / f64::from(1u32 << 31)
+        };
+        let around = 2 * rings;
+        let mut mesh = Mesh::default();
+        for ring in 0..=rings + 1 {
+            let (sin, cos) = libm::sincos(PI * f64::from(ring) / f64::from(rings + 1));
+            let at_pole = ring == 0 || ring == rings + 1;
+            for k in 0..if at_pole { 1 } else { around } {
+                let (y, x) = libm::sincos(2.0 * PI * f64::from(k) / f64::from(around));
+                let place = DVec3::new(x * sin, y * sin, cos) * radius * (0.8 + 0.4 * random());
+                mesh.positions.push(place.to_array());
+            }
+        }
+        let last = mesh.positions.len() as u32 - 1;
+        for k in 0..around {
+            let at = |ring: u32, k: u32| 1 + ring * around + k % around;
+            mesh.triangles.push([0, at(0, k), at(0, k + 1)]);
+            mesh.triangles.push([last, at(rings - 1, k + 1), at(rings - 1, k)]);
+            for ring in 1..rings {
+                let [a, b] = [at(ring - 1, k), at(ring - 1, k + 1)];
+                let [c, d] = [at(ring, k), at(ring, k + 1)];
+                mesh.triangles.extend([[a, c, d], [a, d, b]]);
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn distances_of_small_random_triangles_are_exact() {
+        for (radius, rings) in [(2.0, 4), (9.0, 8), (9.0, 16)] {
+            let lattice = Lattice { origin: [0.3, -0.2, 0.1], step: 1.0 };
+            let level_set = LevelSet::new(&lumpy_ball(radius, rings), lattice).unwrap();
+            assert!(check_distances(&level_set) > 300);
+        }
     }
 
     #[test]

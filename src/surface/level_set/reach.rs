@@ -9,12 +9,18 @@
 use glam::{IVec3, Vec3A, Vec4};
 
 use super::near::{NearTriangle, NearTriangles};
+use super::triangle::{VOXELS_PER_GROUP, greater, less};
 use super::{BAND, BLOCK};
 
-/// Number of voxels that a triangle is compared with at once. They are neighbours along z.
-pub const VOXELS_PER_GROUP: usize = 4;
 /// A margin, in voxels, added to limits on distances because distances are rounded.
 pub const ROUNDING: f32 = 1e-3;
+/// Number of coordinates whose ranges are computed at once.
+const LANES: usize = 4;
+/// Adding this to a whole number from 0 to 2^23 - 1 puts the number into the lowest bits of the
+/// sum. This converts floats to integers without the checks of a cast.
+const TO_BITS: f32 = (1 << 23) as f32;
+/// The coordinates whose ranges are computed at once, relative to the first one.
+const STEPS: Vec4 = Vec4::new(0.0, 1.0, 2.0, 3.0);
 
 /// The voxels of a block, within the band, to which one of a few triangles can be nearest.
 /// Coordinates are relative to `first`.
@@ -97,70 +103,86 @@ impl Reach {
         let per_group = VOXELS_PER_GROUP as i32;
         let last = BLOCK - per_group - self.first.z;
         let mut count = 0;
-        for x in 0..self.end.x {
-            let heights = self.heights([-BAND, BAND], 0, x);
-            let remaining = BAND * BAND + ROUNDING - self.squared_beyond(0, x);
-            let [y, y_end] = self.range(heights, 1, remaining);
-            for y in y..y_end {
-                let heights = self.heights(heights, 1, y);
-                let [mut z, z_end] = self.range(heights, 2, remaining - self.squared_beyond(1, y));
-                // There is rarely more than one group. Storing the first one without a branch
-                // leaves only branches that the processor predicts well.
-                groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
-                count += usize::from(z < z_end);
-                while z_end - z > per_group {
-                    z += per_group;
-                    groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
-                    count += 1;
+        for first_x in (0..self.end.x).step_by(LANES) {
+            let at = first_x as f32 + STEPS;
+            let heights = self.heights([-BAND, BAND].map(Vec4::splat), 0, at);
+            let remaining = BAND * BAND + ROUNDING - self.squared_beyond(0, at);
+            let [ys, y_ends] = self.range(heights, 1, remaining);
+            let [low, high] = heights.map(|heights| heights.to_array());
+            for (lane, x) in (first_x..self.end.x).take(LANES).enumerate() {
+                let heights = [low[lane], high[lane]].map(Vec4::splat);
+                let remaining = Vec4::splat(remaining[lane]);
+                for first_y in (ys[lane]..y_ends[lane]).step_by(LANES) {
+                    let at = first_y as f32 + STEPS;
+                    let heights = self.heights(heights, 1, at);
+                    let remaining = remaining - self.squared_beyond(1, at);
+                    let [zs, z_ends] = self.range(heights, 2, remaining);
+                    for (lane, y) in (first_y..y_ends[lane]).take(LANES).enumerate() {
+                        let (mut z, z_end) = (zs[lane], z_ends[lane]);
+                        // There is rarely more than one group. Storing the first one without a
+                        // branch leaves only branches that the processor predicts well.
+                        groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
+                        count += usize::from(z < z_end);
+                        while z_end - z > per_group {
+                            z += per_group;
+                            groups[count] = [x as i8, y as i8, z.min(last) as i8, 0];
+                            count += 1;
+                        }
+                    }
                 }
             }
         }
         count
     }
 
-    /// Limits a range of heights to the heights that voxels within reach can have at the coordinate
+    /// Limits ranges of heights to the heights that voxels within reach can have at the coordinates
     /// `at` along `axis`. A height is a distance from the middle of the triangles along the normal.
-    fn heights(&self, [low, high]: [f32; 2], axis: usize, at: i32) -> [f32; 2] {
-        let middle = (at as f32 - self.centre[axis]) * self.inverse[axis];
+    #[inline(always)]
+    fn heights(&self, [low, high]: [Vec4; 2], axis: usize, at: Vec4) -> [Vec4; 2] {
+        let middle = (at - self.centre[axis]) * self.inverse[axis];
         let half = (self.half[axis] + self.across[axis] * self.aside) * self.inverse[axis].abs();
-        [greater(middle - half, low), less(middle + half, high)]
+        [greater_of_each(middle - half, low), less_of_each(middle + half, high)]
     }
 
-    /// The squared distance of the coordinate `at` from the triangles' bounding box along `axis`.
-    fn squared_beyond(&self, axis: usize, at: i32) -> f32 {
-        let beyond = greater((at as f32 - self.centre[axis]).abs() - self.half[axis], 0.0);
+    /// The squared distances of the coordinates `at` from the triangles' bounding box along `axis`.
+    #[inline(always)]
+    fn squared_beyond(&self, axis: usize, at: Vec4) -> Vec4 {
+        let beyond = ((at - self.centre[axis]).abs() - self.half[axis]).max(Vec4::ZERO);
         beyond * beyond
     }
 
-    /// The range of coordinates along `axis` that voxels within reach can have if their heights are
-    /// from `low` to `high`, and if their squared distance from the triangles' bounding box along
-    /// `axis` is at most `remaining`.
-    fn range(&self, [low, high]: [f32; 2], axis: usize, remaining: f32) -> [i32; 2] {
-        let aside = less(self.spread * greater(-low, high), BAND);
+    /// The ranges of coordinates along `axis` that voxels within reach can have if their heights
+    /// are from `low` to `high`, and if their squared distance from the triangles' bounding box
+    /// along `axis` is at most `remaining`.
+    #[inline(always)]
+    fn range(&self, [low, high]: [Vec4; 2], axis: usize, remaining: Vec4) -> [[i32; LANES]; 2] {
+        let aside = less_of_each(self.spread * (-low).max(high), Vec4::splat(BAND));
         let middle = self.centre[axis] + (low + high) / 2.0 * self.normal[axis];
         let half = self.half[axis]
             + (high - low) / 2.0 * self.normal[axis].abs()
             + aside * self.across[axis];
-        let reach = self.half[axis] + remaining.max(0.0).sqrt();
+        let reach = self.half[axis] + remaining.max(Vec4::ZERO).sqrt();
+        // The least whole numbers that are greater than `at` and not negative.
+        let next_integers = |at: Vec4| {
+            let next = (at + 1.0).max(Vec4::ZERO).min(Vec4::splat(self.end[axis] as f32));
+            (next.floor() + TO_BITS)
+                .to_array()
+                .map(|next| (next.to_bits() - TO_BITS.to_bits()) as i32)
+        };
         [
-            next_integer(greater(middle - half, self.centre[axis] - reach)),
-            next_integer(less(middle + half, self.centre[axis] + reach)).min(self.end[axis]),
+            next_integers(greater_of_each(middle - half, self.centre[axis] - reach)),
+            next_integers(less_of_each(middle + half, self.centre[axis] + reach)),
         ]
     }
 }
 
-/// The least whole number that is greater than `at` and not negative.
-fn next_integer(at: f32) -> i32 {
-    (at + 1.0).max(0.0) as i32
+/// The greater number of each pair; the number in `b` if the number in `a` is NaN. Unlike this,
+/// [`Vec4::max`] treats NaN differently on different processors.
+fn greater_of_each(a: Vec4, b: Vec4) -> Vec4 {
+    Vec4::from_array(std::array::from_fn(|i| greater(a[i], b[i])))
 }
 
-/// The greater number. Unlike [`f32::max`], this takes one instruction, because it need not ignore
-/// NaN.
-fn greater(a: f32, b: f32) -> f32 {
-    if a > b { a } else { b }
-}
-
-/// The lesser number; see [`greater`].
-fn less(a: f32, b: f32) -> f32 {
-    if a < b { a } else { b }
+/// The lesser number of each pair; see [`greater_of_each`].
+fn less_of_each(a: Vec4, b: Vec4) -> Vec4 {
+    Vec4::from_array(std::array::from_fn(|i| less(a[i], b[i])))
 }

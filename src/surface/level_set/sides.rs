@@ -96,8 +96,8 @@ impl Sides {
                 let left =
                     [is_left(turns[0], b, c), is_left(turns[1], c, a), is_left(turns[2], a, b)];
                 if left == [area > 0; 3] {
-                    let weighted = |i: usize| turns[i] as f64 * corners[i].z;
-                    let z = (weighted(0) + weighted(1) + weighted(2)) / area as f64;
+                    let weighted = |i: usize| to_float(turns[i]) * corners[i].z;
+                    let z = (weighted(0) + weighted(1) + weighted(2)) / to_float(area);
                     self.step(x as usize * EDGE + y as usize, z, area > 0);
                 }
             }
@@ -222,26 +222,32 @@ impl Sides {
     /// If neighbouring deep voxels are on different sides, puts connected deep voxels on the same
     /// side, for which they [vote](Self::vote).
     fn resolve_contradictions(&mut self, squared: &[f32]) {
-        let deep: Vec<u64> = squared
-            .chunks_exact(EDGE)
-            .map(|column| {
+        if !self.is_consistent(squared) {
+            let bits = |column: &[f32]| {
                 let bits = column.iter().enumerate();
                 bits.fold(0, |all, (z, &squared)| all | u64::from(squared > DEEP) << z)
-            })
-            .collect();
-        let contradict = |a: usize, b: usize| (self.inside[a] ^ self.inside[b]) & deep[a] & deep[b];
-        let is_settled = (0..EDGE * EDGE).all(|column| {
-            let changes = self.inside[column] ^ self.inside[column] << 1;
-            changes & deep[column] & deep[column] << 1 & !1 == 0
-                && (column < EDGE || contradict(column - EDGE, column) == 0)
-                && (column % EDGE == 0 || contradict(column - 1, column) == 0)
-        });
-        if !is_settled {
+            };
+            let deep: Vec<u64> = squared.chunks_exact(EDGE).map(bits).collect();
             let voted = self.vote(&deep);
             for column in 0..EDGE * EDGE {
                 self.apply_vote(column, voted[column], deep[column]);
             }
         }
+    }
+
+    /// Whether all neighbouring deep voxels are on the same side.
+    fn is_consistent(&self, squared: &[f32]) -> bool {
+        let is_deep = |column: usize, z: usize| squared[column * EDGE + z] > DEEP;
+        let agree = |a: usize, b: usize| {
+            let mut differences = ones(self.inside[a] ^ self.inside[b]);
+            !differences.any(|z| is_deep(a, z) && is_deep(b, z))
+        };
+        (0..EDGE * EDGE).all(|column| {
+            let mut changes = ones((self.inside[column] ^ self.inside[column] << 1) & !1);
+            !changes.any(|z| is_deep(column, z - 1) && is_deep(column, z))
+                && (column < EDGE || agree(column - EDGE, column))
+                && (column % EDGE == 0 || agree(column - 1, column))
+        })
     }
 
     /// The sides of deep voxels. All voxels of a connected set get the same side: the side on which
@@ -354,6 +360,11 @@ fn columns(a: i64, b: i64, c: i64) -> RangeInclusive<i64> {
 fn turn(a: Place, b: Place, c: Place) -> i128 {
     let product = |x: i64, y: i64| i128::from(x) * i128::from(y);
     product(b[0] - a[0], c[1] - a[1]) - product(b[1] - a[1], c[0] - a[0])
+}
+
+/// Converts a [`turn`], which is fast for the turns of all but the largest triangles.
+fn to_float(turn: i128) -> f64 {
+    i64::try_from(turn).map_or(turn as f64, |turn| turn as f64)
 }
 
 /// The sign of the [`turn`] to a point on the line from `a` to `b`, after the point is shifted by a

@@ -1,30 +1,37 @@
-//! Distances from triangles, four at a time.
+//! Distances from triangles, to four voxels at a time.
 //!
 //! Each triangle has its own coordinate system, in which the triangle lies in the plane z = 0, with
 //! the first corner at the origin and the first edge along x. In this system, a point's squared
 //! distance is the sum of the squares of its height z and of its distance within the plane.
 
-use glam::{DVec3, Vec4, Vec4Swizzles};
+use glam::DVec3;
 
-/// A triangle, with its coordinates in voxels. A `Vec4` that describes one number has four copies
-/// of this number, one for each point.
-#[derive(Debug, Default, Clone, Copy)]
-pub struct Triangle {
+/// Number of voxels that a triangle is compared with at once. They are neighbours along z.
+pub const VOXELS_PER_GROUP: usize = 4;
+
+/// Triangles whose coordinates are in voxels. Each triangle has [`VOXELS_PER_GROUP`] lanes, one for
+/// each voxel; all of its lanes have the same numbers. The compiler turns loops over the lanes into
+/// vector instructions.
+#[derive(Debug, Clone, Copy)]
+pub struct Triangles<const LANES: usize> {
     /// The coordinates of the lattice's origin in the triangle's system, and the amounts by which
-    /// they change with each step along the lattice's x and y. The fourth components are 0.
-    start: [Vec4; 3],
-    /// The amount by which each coordinate changes with each step along the lattice's z.
-    along_z: [Vec4; 3],
+    /// they change with each step along the lattice's x, y and z.
+    system: [[[f32; LANES]; 3]; 4],
     /// The length of the first edge.
-    length: Vec4,
+    length: [f32; LANES],
     /// The directions of the other two edges in the plane, and their lengths.
-    edges: [[Vec4; 3]; 2],
+    edges: [[[f32; LANES]; 3]; 2],
 }
 
-impl Triangle {
-    /// Prepares a triangle that is not degenerate. `normal` is its unit normal.
+impl<const LANES: usize> Triangles<LANES> {
+    pub fn new() -> Self {
+        let none = [0.0; LANES];
+        Self { system: [[none; 3]; 4], length: none, edges: [[none; 3]; 2] }
+    }
+
+    /// Prepares triangle number `index`, which must not be degenerate. `normal` is its unit normal.
     #[inline]
-    pub fn new([a, b, c]: [DVec3; 3], normal: DVec3) -> Self {
+    pub fn set(&mut self, index: usize, [a, b, c]: [DVec3; 3], normal: DVec3) {
         let (ab, ac) = (b - a, c - a);
         let length = ab.length();
         let x = ab * length.recip();
@@ -33,51 +40,76 @@ impl Triangle {
         let edge = |x: f32| {
             let length = (x * x + c_y * c_y).sqrt();
             let inverse = length.recip();
-            [x * inverse, c_y * inverse, length].map(Vec4::splat)
+            [x * inverse, c_y * inverse, length]
         };
-        let start = [-x.dot(a), -y.dot(a), -normal.dot(a)].map(|number| number as f32);
-        let [x, y, z] = [x.as_vec3(), y.as_vec3(), normal.as_vec3()];
-        Self {
-            start: [
-                Vec4::new(start[0], start[1], start[2], 0.0),
-                Vec4::new(x.x, y.x, z.x, 0.0),
-                Vec4::new(x.y, y.y, z.y, 0.0),
-            ],
-            along_z: [Vec4::splat(x.z), Vec4::splat(y.z), Vec4::splat(z.z)],
-            length: Vec4::splat(length as f32),
-            edges: [edge((c_x - length) as f32), edge(c_x as f32)],
+        let axes = [x, y, normal];
+        let start = axes.map(|axis| (-axis.dot(a)) as f32);
+        let along = |k: usize| axes.map(|axis| axis[k] as f32);
+        let system = [start, along(0), along(1), along(2)];
+        let edges = [edge((c_x - length) as f32), edge(c_x as f32)];
+        let put = |to: &mut [f32; LANES], number: f32| {
+            to.as_chunks_mut::<VOXELS_PER_GROUP>().0[index] = [number; VOXELS_PER_GROUP];
+        };
+        put(&mut self.length, length as f32);
+        for (to, number) in self.system.as_flattened_mut().iter_mut().zip(system.as_flattened()) {
+            put(to, *number);
+        }
+        for (to, number) in self.edges.as_flattened_mut().iter_mut().zip(edges.as_flattened()) {
+            put(to, *number);
         }
     }
 
-    /// The squared distances of four points with equal x and y.
+    /// The squared distances from each triangle of the voxels from (x, y, z) to (x, y, z + 3).
     #[inline(always)]
-    pub fn squared_distances(&self, x: f32, y: f32, z: Vec4) -> Vec4 {
-        let start = self.start[0] + self.start[1] * x + self.start[2] * y;
-        let [u, v, height] = [
-            start.xxxx() + z * self.along_z[0],
-            start.yyyy() + z * self.along_z[1],
-            start.zzzz() + z * self.along_z[2],
-        ];
-        let zero = Vec4::ZERO;
-        let from_edge = |x: Vec4, [along_x, along_y, length]: [Vec4; 3]| {
-            let along = x * along_x + v * along_y;
-            let across = v * along_x - x * along_y;
-            let beyond = along - along.max(zero).min(length);
-            (beyond * beyond + across * across, across)
-        };
-        let beyond = u - u.max(zero).min(self.length);
-        let first = beyond * beyond + v * v;
-        let (second, left_of_second) = from_edge(u - self.length, self.edges[0]);
-        let (third, left_of_third) = from_edge(u, self.edges[1]);
-        let is_inside = v.min(left_of_second).min(-left_of_third).cmpge(zero);
-        let in_plane = Vec4::select(is_inside, zero, first.min(second).min(third));
-        in_plane + height * height
+    pub fn squared_distances(&self, [x, y, z]: [f32; 3]) -> [f32; LANES] {
+        let mut squared = [0.0; LANES];
+        let [start, along_x, along_y, along_z] = &self.system;
+        let [second, third] = &self.edges;
+        for i in 0..LANES {
+            let z = z + (i % VOXELS_PER_GROUP) as f32;
+            let u = start[0][i] + along_x[0][i] * x + along_y[0][i] * y + z * along_z[0][i];
+            let v = start[1][i] + along_x[1][i] * x + along_y[1][i] * y + z * along_z[1][i];
+            let height = start[2][i] + along_x[2][i] * x + along_y[2][i] * y + z * along_z[2][i];
+            let beyond = u - less(greater(u, 0.0), self.length[i]);
+            let first_squared = beyond * beyond + v * v;
+
+            let w = u - self.length[i];
+            let along = w * second[0][i] + v * second[1][i];
+            let left_of_second = v * second[0][i] - w * second[1][i];
+            let beyond = along - less(greater(along, 0.0), second[2][i]);
+            let second_squared = beyond * beyond + left_of_second * left_of_second;
+
+            let along = u * third[0][i] + v * third[1][i];
+            let left_of_third = v * third[0][i] - u * third[1][i];
+            let beyond = along - less(greater(along, 0.0), third[2][i]);
+            let third_squared = beyond * beyond + left_of_third * left_of_third;
+
+            let is_inside = less(less(v, left_of_second), -left_of_third) >= 0.0;
+            let nearest_edge = less(less(first_squared, second_squared), third_squared);
+            let in_plane = if is_inside { 0.0 } else { nearest_edge };
+            squared[i] = in_plane + height * height;
+        }
+        squared
     }
+}
+
+/// The greater number. Unlike [`f32::max`], this takes one instruction, because it need not ignore
+/// NaN.
+#[inline(always)]
+pub fn greater(a: f32, b: f32) -> f32 {
+    if a > b { a } else { b }
+}
+
+/// The lesser number; see [`greater`].
+#[inline(always)]
+pub fn less(a: f32, b: f32) -> f32 {
+    if a < b { a } else { b }
 }
 
 /// The weights (barycentric coordinates) of a triangle's corners in the point of the triangle that
 /// is nearest to the origin; the sum of the weights is 1. The tests find whether the nearest point
 /// is a corner, on an edge, or inside the triangle (Ericson, Real-Time Collision Detection, 5.1.5).
+#[inline]
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
     let (along_b, along_c) = (-ab.dot(a), -ac.dot(a));
