@@ -183,7 +183,9 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
             }
             continue;
         }
-        let (name, meaning) = if info.is_velocity() { ("v", "vector") } else { (&**name, "") };
+        let name = if info.is_velocity() { "v" } else { &**name };
+        // Houdini rotates vectors together with the geometry.
+        let meaning = if info.is_direction() { "vector" } else { "" };
         let storage = match info.kind {
             AttributeKind::Signed | AttributeKind::Wide => Type::I32,
             // Houdini has no unsigned 32-bit type, so the next wider type is used.
@@ -306,7 +308,7 @@ impl Tokens {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::mesh::Mesh;
+    use crate::surface::mesh::{Mesh, VertexAttribute};
 
     #[test]
     fn written_triangles_are_clockwise_seen_from_outside() {
@@ -317,5 +319,26 @@ mod tests {
             .expect("writing to a `Vec` does not fail");
         let corners: Vec<u8> = [0_u32, 2, 1].iter().flat_map(|i| i.to_le_bytes()).collect();
         assert!(bytes.windows(corners.len()).any(|window| window == corners));
+    }
+
+    #[test]
+    fn houdini_rotates_velocities_and_forces_but_not_colours() {
+        let positions = vec![[0.0; 3]];
+        let names = [("velocity", 3), ("force", 3), ("Cd", 3), ("pressure", 1)];
+        let attributes =
+            names.map(|(name, width)| VertexAttribute::new(name, width, vec![0.5; width]));
+        let mesh = Mesh { positions, attributes: attributes.into(), ..Mesh::default() };
+        let meanings: Vec<(String, &str)> = arrays(&mesh, CoordinateWidth::F32)
+            .into_iter()
+            .map(|array| (array.name, array.meaning))
+            .collect();
+        let expected = [
+            ("P", "point"),
+            ("v", "vector"),
+            ("force", "vector"),
+            ("Cd", "color"),
+            ("pressure", ""),
+        ];
+        assert_eq!(meanings, expected.map(|(name, meaning)| (name.to_owned(), meaning)));
     }
 }
