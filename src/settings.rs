@@ -506,7 +506,7 @@ impl Settings {
     /// such as a radius and the equivalent spacing, are stored in the same form.
     #[must_use]
     pub fn kept(&self) -> StoredSettings {
-        // The isovalue is rounded to the nearest step of the field.
+        // The isovalue is rounded to the nearest step of a 16-bit field.
         let iso = self.isovalue().and_then(|iso| Isovalue::new(iso).ok());
         let kept = Self {
             iso: iso.map(|iso| Iso::Value(iso.value())),

@@ -18,7 +18,7 @@ pub fn symmetric_eigen(matrix: DMat3) -> (DVec3, DMat3) {
             if off_diagonal == 0.0 {
                 continue;
             }
-            // Computes the rotation in the plane of axes p and q that makes this element zero.
+            // Compute the rotation in the plane of axes p and q that makes `off_diagonal` zero.
             let ratio = (columns[q][q] - columns[p][p]) / (2.0 * off_diagonal);
             let tangent = 1_f64.copysign(ratio) / (ratio.abs() + (ratio * ratio + 1.0).sqrt());
             let cosine = 1.0 / (tangent * tangent + 1.0).sqrt();

@@ -25,8 +25,8 @@ pub fn places(contents: &BinContents<'_>, corner: IVec3) -> impl Iterator<Item =
     contents.particles().map(move |(local, offset)| {
         let local = local as i32;
         let cell = corner + IVec3::new(local % BIN, local / BIN % BIN, local / (BIN * BIN));
-        // Stored offsets are rounded down to steps. The particle is placed in the middle of its
-        // step.
+        // Each stored offset is rounded down to a step of 1 / `FRACTIONS` cells. Adding half a step
+        // gives the middle of the step.
         let offset = DVec3::from(offset.map(f64::from)) + 0.5;
         (cell, cell.as_dvec3() + offset / f64::from(FRACTIONS))
     })

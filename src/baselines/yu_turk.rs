@@ -72,13 +72,13 @@ impl YuTurk {
             second +=
                 DMat3::from_cols(weighted * offset.x, weighted * offset.y, weighted * offset.z);
         });
-        // The particle itself is also found, so `weights` is at least 1.
+        // The particle itself is also found, with weight 1, so `weights` is at least 1.
         let mean = first / weights;
         let outer = DMat3::from_cols(mean * mean.x, mean * mean.y, mean * mean.z);
         let covariance = second * weights.recip() - outer;
         let (eigenvalues, eigenvectors) = symmetric_eigen(covariance);
         let greatest = eigenvalues.max_element() / (UNIFORM * radius * radius);
-        // If all particles are at the same position, the covariance is zero, and gives no widths.
+        // If all particles are at the same position, the covariance is zero and defines no widths.
         let widths = if found > N_EPSILON + 1 && greatest > f64::EPSILON {
             let scaled = eigenvalues / (UNIFORM * radius * radius);
             scaled.max(DVec3::splat(greatest / K_R))

@@ -278,7 +278,7 @@ impl Error {
     pub fn message_with(&self, name: &dyn Fn(Setting) -> String) -> String {
         match self {
             Self::SettingConflict(conflict) => conflict.message_with(name),
-            // The message begins with the setting's key, which the name replaces.
+            // The message begins with the setting's key. Replace this key with the caller's name.
             Self::Unit(unit) => match Setting::by_key(unit.name()) {
                 Some(setting) => unit.to_string().replacen(unit.name(), &name(setting), 1),
                 None => unit.to_string(),
@@ -305,8 +305,8 @@ impl Error {
     #[must_use]
     pub(crate) fn with_skipped_part(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {
-            // The request `velocity` also means a part with another name of the velocity, which has
-            // three components.
+            // A request for `velocity` also matches an unread part with another name of the
+            // velocity. These names match only attributes with three components, so assume three.
             let is_missing = |part: &&UnreadPart| {
                 let info = part.attribute().map(|part| AttributeInfo::new(part, 3));
                 attribute_called(name, info.as_slice()).is_some()

@@ -78,8 +78,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let position = [0, 1, 2].map(|axis| position.component(axis));
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(points as usize), position, attributes);
-    // Read as an unsigned number, the index -1 is greater than the index of every string. A point
-    // with this index gets the label's first text, which is empty.
+    // The index -1 stands for no string. Read as an unsigned number, it is greater than the index
+    // of every string. A point with this index gets the label's first text, which is empty.
     let labels = labels.into_iter().map(|(name, texts, within)| {
         let (label, places) = label(name, texts);
         (label, (column(Scalar::U32, within), places))
@@ -128,7 +128,7 @@ impl Definition {
                 for _ in 0..cursor.count("strings")? {
                     let length = cursor.u16("a string's length")?;
                     let text = cursor.take("a string", length.into())?;
-                    // Keeps at most one string more than a label can have, which is enough to show
+                    // Keep at most one string more than a label can have, which is enough to show
                     // that there are too many.
                     if texts.len() <= MOST_TEXTS {
                         texts.push(String::from_utf8_lossy(text).into_owned());

@@ -162,7 +162,7 @@ fn has_points(file: &ParticleFile) -> bool {
 fn other_contents(path: &Path, error: ReadError) -> Result<String, ReadError> {
     match error.fault {
         ReadFault::Mesh { faces } if error.path == path => Ok(described_mesh(faces)),
-        // The error counts only the faces of one piece, and the block's other pieces may have more.
+        // The error counts the faces of only one of the block's pieces, so leave out the number.
         ReadFault::Mesh { .. } => Ok("a mesh".to_owned()),
         ReadFault::UnknownExtension { .. } => Ok(described_format(path)),
         _ => Err(error),

@@ -85,8 +85,8 @@ impl Bytes {
             file.check()?;
             return read.and_then(|()| copied.finish());
         };
-        // If another program has changed the file, for example shortened it, returns `Changed`
-        // instead of the result of the read.
+        // If another program has changed the file, for example shortened it, `check` returns
+        // `Changed`, which takes precedence over the result of the read.
         file.check()?;
         Ok(read?)
     }
@@ -288,8 +288,8 @@ impl<'a> ByteView<'a> {
                 assert!(range.end <= self.len(), "range to byte {} of {}", range.end, self.len());
                 let mut bytes = vec![0; range.len()];
                 if let Err(lost) = file.read_exact_at(range.start as u64, &mut bytes) {
-                    // If another program has changed the file, for example shortened it, returns
-                    // `Changed` instead of the error of the read.
+                    // If another program has changed the file, for example shortened it, `check`
+                    // returns `Changed`, which takes precedence over the error of the read.
                     file.check()?;
                     return Err(lost.into());
                 }
@@ -509,7 +509,7 @@ impl<'a> UnpackBuffer<'a> {
             Some(file) => file.write_all(bytes).map_err(ReadFault::Scratch)?,
             None => {
                 if self.memory.capacity() < self.len as usize {
-                    // Doubles the capacity, within the limit.
+                    // Double the capacity, but not beyond the memory limit.
                     let room = (2 * self.len).min(self.unpacking.in_memory) as usize;
                     self.memory.reserve_exact(room - self.memory.len());
                 }
@@ -574,8 +574,7 @@ pub fn open_for_frame(
             read_exact_at(&file, 0, head)?;
             Ok(Compression::of(head).map(|_| stamp))
         })
-        // Ignores the error, because `open_bytes_within` opens the file again and reports the
-        // error.
+        // Ignore the error, because `open_bytes_within` opens the file again and reports the error.
         .unwrap_or_default();
     // Without a memory limit, no scratch file is used.
     let compressed = compressed.filter(|_| unpacking.in_memory < u64::MAX);
@@ -584,7 +583,7 @@ pub fn open_for_frame(
         if let Some(map) = UNPACKED.get(path, stamp) {
             return Ok((Bytes::Kept(PrivateBytes::Scratch(map)), compressed));
         }
-        // At most one scratch file is kept.
+        // At most one scratch file is kept, so forget the previous one.
         UNPACKED.forget();
         let unpacked = open_bytes_within(path, Unpacking { in_memory: 0, ..unpacking });
         let unchanged = path.metadata().is_ok_and(|now| FileStamp::of(&now) == stamp);
@@ -593,7 +592,7 @@ pub fn open_for_frame(
                 UNPACKED.keep(path, stamp, Arc::clone(&map));
                 return Ok((Bytes::Kept(PrivateBytes::Scratch(map)), compressed));
             }
-            // The scratch file cannot be written, but the bytes may fit in memory.
+            // If the scratch file cannot be written, the bytes may still fit in memory.
             Err(ReadError { fault: ReadFault::Scratch(_), .. }) => {}
             other => return Ok((other?, None)),
         }
@@ -625,7 +624,7 @@ pub fn open_bytes_within(path: &Path, unpacking: Unpacking) -> Result<Bytes, Rea
         let Some(compression) = Compression::of(head) else {
             return ReopenedFile::new(path, file).map(Bytes::File).map_err(|e| fail(e.into()));
         };
-        // Unpacks a large file while reading it, so that its compressed bytes are never all in
+        // Unpack a large file while reading it, so that its compressed bytes are never all in
         // memory.
         if len > ALWAYS_UNPACKED {
             return unpack(compression, file, len, unpacking).map(Bytes::Kept).map_err(fail);

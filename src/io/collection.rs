@@ -55,7 +55,7 @@ pub fn is_list(path: &Path) -> bool {
 /// # Errors
 /// [`ReadError`] for a list that cannot be read, is empty, or contains another list.
 pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
-    // Caches the last list, because a simulation needs the list for each of its frames.
+    // Cache the last list, because a simulation needs the list for each of its frames.
     static LAST: LastFile<Arc<[ListedFrame]>> = LastFile::new();
     let Ok(metadata) = path.metadata() else { return read_list(path).map(Into::into) };
     let stamp = FileStamp::of(&metadata);

@@ -251,7 +251,7 @@ impl<B: Windows> ColumnStore<B> {
                 let (mut done, mut near) = (0, Vec::with_capacity(NEAR.min(count)));
                 let mut rows = sieve.rows(first).take(count).peekable();
                 while let Some(&row) = rows.peek() {
-                    // Reads nearby rows as one window.
+                    // Read nearby rows as one window.
                     near.clear();
                     let next = || rows.next_if(|&other| other - row < NEAR);
                     near.extend(std::iter::from_fn(next).map(|other| other - row));
@@ -383,8 +383,7 @@ impl<B: Windows> Particles for ColumnStore<B> {
         let len = self.bytes.count();
         for group in windows.chunk_by(|a, b| b.start < a.end) {
             let end = group.iter().map(|window| window.end).max().unwrap_or_default().min(len);
-            // Releases only complete windows. A later call releases a window that is incomplete
-            // now.
+            // Release only complete windows. A later call releases a window that is incomplete now.
             let [begin, end] = [group[0].start, end].map(|at| at / WINDOW * WINDOW);
             if begin < end {
                 self.bytes.release(begin..end);

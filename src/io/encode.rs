@@ -115,8 +115,8 @@ fn write_each_piece(
     encode: &(dyn Fn(&Vertices, &mut Vec<u8>) + Sync),
 ) -> io::Result<()> {
     let attributes = mesh.attributes();
-    // Wide attributes have many components in total. They make a piece large, so a batch then
-    // contains only one piece.
+    // If the attributes together have many components, each piece is large, so a batch contains
+    // only one piece.
     let wide = are_wide(attributes.iter().map(|info| info.components));
     let batch = if wide { 1 } else { pieces_at_once() };
     let count = AtomicU64::new(0);

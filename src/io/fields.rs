@@ -87,7 +87,7 @@ impl Arrangement {
     /// The step numbers of the frames. Empty if there is a single frame, or if there are no
     /// particles.
     pub fn steps(&self) -> Vec<u64> {
-        // Returns no steps if the frames have no particles. Such frames take no bytes, so even a
+        // Return no steps if the frames have no particles. Such frames take no bytes, so even a
         // small file can declare any number of them.
         let frames = self.frames.filter(|frames| *frames > 1 && self.rows > 0);
         (0..frames.unwrap_or(0)).collect()
@@ -256,8 +256,8 @@ fn arrange_along(fields: &[NamedArray], axes: Axes) -> Result<Option<Arrangement
         let what = format!("the arrays with the positions differ in length: {}", names.join(", "));
         return Err(malformed(0, what));
     }
-    // For each array, tries the axes of the position first, and then axes without frames. The
-    // values of an array without frames apply to every frame.
+    // For each array, try the axes of the position first, and then axes without frames. The values
+    // of an array without frames apply to every frame.
     let mut columns = NamedColumns::of(fields);
     let (mut left_out, mut separate) = (Vec::new(), Vec::new());
     let mut chosen = vec![Axes::Particles; fields.len()];
@@ -462,7 +462,7 @@ mod tests {
             of([20, 20, 20], "Coordinates", &[20, 3]),
             ("Coordinates".into(), 20, vec![("xyz".into(), 3)], vec![])
         );
-        // `p` may be a momentum.
+        // The array `p` is not read as the position, because it may be a momentum.
         let separate =
             |name: &str, components| ("".into(), 20, vec![(name.to_owned(), components)], vec![]);
         assert_eq!(of([20, 20, 20], "p", &[20, 3]), separate("p", 3));

@@ -23,14 +23,14 @@ pub fn listed_pieces(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
 /// The file of a frame, and the existing files of its other pieces.
 pub fn files_of(path: &Path) -> Vec<PathBuf> {
     let (file, step) = file_and_step(path);
-    // Leaves out the list itself, because a simulation may append frames to the list without
+    // Leave out the list itself, because a simulation may append frames to the list without
     // changing the earlier frames.
     if let Some(frames) = is_list(file).then(|| listed(file).ok()).flatten() {
         let frame = usize::try_from(step.unwrap_or(0)).ok().and_then(|step| frames.get(step));
         return frame.map_or(Vec::new(), |frame| frame.files().flat_map(files_of).collect());
     }
     let mut files = vec![file.to_owned()];
-    // Ignores an error here, because reading the file reports it.
+    // Ignore an error here, because reading the file reports it.
     let named = listed_pieces(file).unwrap_or_default().into_iter();
     let snapshot =
         snapshot_pieces(file).filter(|pieces| *pieces > 1).map_or(Vec::new(), |pieces| {

@@ -164,7 +164,8 @@ impl DumpStep {
         for (number, name) in names.iter_mut().enumerate() {
             match columns.iter().position(|&column| column == number) {
                 Some(axis) => ["x", "y", "z"][axis].clone_into(name),
-                // Renames a column that would be taken for the position.
+                // Rename a column called x, y or z that is not the position, because it would be
+                // taken for the position.
                 None if matches!(&**name, "x" | "y" | "z") => name.push('_'),
                 None => {}
             }

@@ -149,8 +149,8 @@ impl Contents {
                 if field.shape.is_empty() {
                     continue;
                 }
-                // With several structures, the array's name is added, so that it is clear to which
-                // structure a position belongs.
+                // If the file has several structured arrays, prefix each field with its array's
+                // name, so that it is clear to which array a position belongs.
                 if header.is_structured() && structures > 1 {
                     field.name = format!("{name}.{}", field.name);
                 }
@@ -242,8 +242,8 @@ fn arrays(bytes: &Bytes) -> Result<Vec<NpzArray>, ReadFault> {
         let damaged = |e: std::io::Error| ReadFault::Compression(format!("array {name}: {e}"));
         file.by_ref().take(LONGEST_HEADER).read_to_end(&mut head).map_err(damaged)?;
         let header = NpyHeader::read(head[..].into()).map_err(|fault| match fault {
-            // The reader of the header reports positions relative to the array, so the error names
-            // the array.
+            // `NpyHeader::read` reports offsets relative to the array, so the error must name the
+            // array.
             ReadFault::Unsupported(_) => fault,
             fault => malformed(stored_at.unwrap_or(0) as usize, format!("array {name}: {fault}")),
         })?;

@@ -33,7 +33,7 @@ parsed!(i64, u64, usize, f32);
 
 impl ParseNumber for f64 {
     fn of(word: &[u8]) -> Option<Self> {
-        // Tries the notation of C and Python first. The other notations are rare and do not overlap
+        // Try the notation of C and Python first. The other notations are rare and do not overlap
         // with it.
         short(word)
             .or_else(|| std::str::from_utf8(word).ok()?.parse().ok())
@@ -185,7 +185,7 @@ fn fortran(word: &[u8]) -> Option<f64> {
     let (mantissa, exponent) = word.split_at(at);
     let exponent = match exponent {
         [b'D' | b'd' | b'Q' | b'q', exponent @ ..] if is_exponent(exponent) => exponent,
-        // Requires three digits and a point, because `1.5-10` could be two numbers without a
+        // Require three digits and a point, because `1.5-10` could be two numbers without a
         // separator.
         [b'+' | b'-', digits @ ..] if digits.len() == 3 && mantissa.contains(&b'.') => exponent,
         _ => return None,

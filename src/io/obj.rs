@@ -37,7 +37,7 @@ pub fn write_mesh(
 ) -> io::Result<()> {
     out.write_all(noted(mesh, ["# ", "\n"]).as_bytes())?;
     if mesh.vertex_count() == 0 {
-        // A completely empty file could be mistaken for an incomplete one.
+        // Write a line, because an empty file could be mistaken for an incomplete one.
         writeln!(out, "# no vertices")?;
     }
     let infos = mesh.attributes();

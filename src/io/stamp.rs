@@ -48,13 +48,13 @@ impl Stamp {
                     found.map_err(|fault| ReadError::new(&file, fault.into()))?;
                 let since = modified.duration_since(UNIX_EPOCH).unwrap_or_default();
                 let (size, modified) = (metadata.len(), since.as_nanos() as u64);
-                // Ignores the names of folders, because the same folder may have other names on
+                // Ignore the names of folders, because the same folder may have other names on
                 // other machines.
                 files.update(file.file_name().unwrap_or_default().as_encoded_bytes());
                 [size, modified].iter().for_each(|number| files.update(&number.to_le_bytes()));
                 (bytes, newest) = (bytes + size, newest.max(modified));
             }
-            // An input that is a single frame has no frame number.
+            // Only a frame in a file of several frames has a step.
             if let (_, Some(step)) = file_and_step(path) {
                 files.update(&step.to_le_bytes());
             }

@@ -108,7 +108,7 @@ fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
 /// [`ReadFault::Truncated`] or [`ReadFault::Malformed`] for a binary file whose length does not fit
 /// its number of triangles, and [`ReadFault::Line`] for invalid text.
 pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
-    // Tries binary first, because some binary files also start with "solid". A text file is not
+    // Try binary first, because some binary files also start with "solid". A text file is not
     // mistaken for a binary file, because its bytes 80 to 83 are not a number of triangles that
     // fits its length.
     match records(bytes) {

@@ -312,7 +312,7 @@ mod tests {
 
     #[test]
     fn times_between_time_codes_stay_as_they_are() {
-        // A simulation with 10 frames per second, in a stage with 24.
+        // A simulation with 10 frames per second, in a stage with 24 time codes per second.
         let codes = time_codes(&[0.0, 0.500_047, 0.900_049], 24.0);
         assert_eq!(codes[..2], [0.0, 12.0]);
         assert!((codes[2] - 21.601_176).abs() < 1e-9, "{codes:?}");
@@ -321,7 +321,7 @@ mod tests {
 
     #[test]
     fn rounding_never_makes_two_time_codes_equal() {
-        // The frames are much denser than the time codes.
+        // The time between frames is much shorter than a time code.
         for step in [1e-3, 1e-5, 1e-9, 1e-13] {
             let times: Vec<f64> = (-50..50).map(|frame| 1.0 + step * f64::from(frame)).collect();
             let codes = time_codes(&times, 24.0);
@@ -353,7 +353,7 @@ mod tests {
         let times = [0.0, 0.500_047, 0.900_049];
         assert_eq!(implied_rate(&times, &[0, 5, 9]), Some(10.0));
         assert_eq!(implied(&times), None);
-        // If numbers count time steps, their common step is one frame.
+        // The numbers may count time steps instead of frames. Here, 200 time steps are one frame.
         assert_eq!(implied_rate(&[0.1, 0.14, 0.22], &[500, 700, 1100]), Some(25.0));
         assert_eq!(implied_rate(&[0.0, 0.2, 0.4], &[i64::MIN, 0, i64::MAX]), Some(5.0));
     }
@@ -417,7 +417,7 @@ mod tests {
         let seconds = |fps: Option<f64>| -> Vec<f64> {
             Timeline::of(&frames, fps).frames.iter().map(|frame| frame.seconds).collect()
         };
-        // At 24 frames per second, 0.04 s is 0.96 frames.
+        // At 24 frames per second, 0.04 s is 0.96 frames, which becomes time code 1.
         assert_eq!(Timeline::of(&frames, None).frames[1].code, 1.0);
         assert_eq!(seconds(None), [0.0, 0.04, 0.1]);
         assert_eq!(seconds(Some(24.0))[1], 1.0 / 24.0);

@@ -34,8 +34,8 @@ impl FileVertices {
         let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
         let store: ColumnStore<&[u8]> =
             ColumnStore::new(bytes, ParticleRows::All(self.count), self.position, self.attributes);
-        // The index may have changed, because attributes with the same name as an earlier one were
-        // removed.
+        // The index of the normals may have changed, because the store has no attributes that
+        // repeat the name of an earlier one.
         let normals = normals.and_then(|name| normals_called(&name, &store));
         make_mesh(&store, normals, triangles)
     }

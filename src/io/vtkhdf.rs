@@ -334,7 +334,7 @@ fn datatype(scalar: Scalar) -> Vec<u8> {
 /// The superblock of a file that ends at byte `end`. The root's header follows the superblock.
 fn superblock(end: u64) -> Vec<u8> {
     let mut block = b"\x89HDF\r\n\x1a\n\0\0\0\0\0\x08\x08\0".to_vec();
-    // The sizes of B-tree nodes. The file contains no B-trees.
+    // The superblock must contain the sizes of B-tree nodes, although the file contains no B-trees.
     block.extend([4, 0, 16, 0, 0, 0, 0, 0]);
     for address in [0, UNDEFINED, end, UNDEFINED, 0, SUPERBLOCK] {
         block.extend(address.to_le_bytes());

@@ -65,7 +65,7 @@ impl WholeFile {
         if replace == Replace::Refuse && path.symlink_metadata().is_ok() {
             return Err(fail(WriteFault::Exists));
         }
-        // A symbolic link stays, and its target is replaced.
+        // If the path is a symbolic link, replace the link's target, not the link.
         let existing = found.and_then(|_| path.canonicalize().ok());
         let place = existing.unwrap_or_else(|| path.to_owned());
         let file = create_temporary(&place).map_err(|e| fail(e.into()))?;
@@ -192,7 +192,7 @@ impl FilledFile {
             WriteTarget::Direct => Ok(()),
             WriteTarget::Temporary { file, place, replace } => {
                 let synced = file.as_file().sync_all();
-                // Locks the parent folder, so that the folder of further files and the file that
+                // Lock the parent folder, so that the folder of further files and the file that
                 // names them come from the same process.
                 let _lock = folder.as_ref().and_then(|_| lock_parent_folder(&place));
                 let before =
@@ -232,7 +232,7 @@ pub fn sweep(folder: &Path) {
         if !(name.starts_with(PREFIX) && name.ends_with(SUFFIX)) {
             continue;
         }
-        // The lock is held until the file is removed. A process that has just created this file
+        // Hold the lock until the file is removed. A process that has just created this file
         // notices the removal, and creates another file.
         if let Ok(_taken) = held::take(&path) {
             let _ = fs::remove_file(&path);
@@ -324,7 +324,7 @@ fn create_temporary(place: &Path) -> io::Result<NamedTempFile> {
     let mut builder = tempfile::Builder::new();
     builder.prefix(PREFIX).suffix(SUFFIX);
     loop {
-        // The system's message would name the temporary file, which the user does not know.
+        // The message of `tempfile` would name the temporary file, which the user does not know.
         let refused = |fault: io::Error| match fault.kind() {
             kind @ io::ErrorKind::NotFound if !folder.exists() => {
                 io::Error::new(kind, format!("the folder {} does not exist", folder.display()))

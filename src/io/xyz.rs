@@ -58,7 +58,7 @@ fn are_f64(raw: &[u8]) -> bool {
     let wide = raw.as_chunks().0.iter().map(|&bytes| f64::from_le_bytes(bytes));
     let narrow = raw.as_chunks().0.iter().map(|&bytes| f64::from(f32::from_le_bytes(bytes)));
     let far = narrow.filter(|&number| !is_length(number)).count();
-    // Requires many implausible numbers, because a few particles may have flown far away.
+    // Require many implausible numbers, because a few particles may have flown far away.
     wide.into_iter().all(is_length) && far * 8 > raw.len() / size_of::<f32>()
 }
 
@@ -251,7 +251,7 @@ fn columns_of(properties: &str) -> Result<TableColumns, String> {
         };
         let count = count.parse().ok().filter(|count| (1..=MOST).contains(count));
         let count = count.ok_or_else(|| format!("{}: {name} has no number of columns", shown()))?;
-        // ASE abbreviates the name of the velocity.
+        // ASE calls the velocity `velo`.
         let name = if name == "velo" { "velocity" } else { name };
         match count {
             1 => names.push(name.to_owned()),

@@ -196,7 +196,7 @@ impl Particles for AlikeParticles<'_> {
         if stored.kind.is_whole() {
             return self.particles.integers(index, first, out);
         }
-        // Reads f64, because f32 cannot represent large integers exactly.
+        // Read f64, because f32 cannot represent large integers exactly.
         let components = stored.components;
         let mut values = vec![0.0; out.len() / components];
         for component in 0..components {

@@ -301,7 +301,7 @@ impl AttributeKind {
     /// A colour component from 0 to 255, from [`share`](Self::share).
     #[must_use]
     pub fn byte(self, value: f32) -> u8 {
-        // Integers from 0 to 255 stay unchanged.
+        // If the stored colour is an integer from 0 to 255, the result is this integer.
         (f64::from(self.share(value)) * 255.0).round() as u8
     }
 }

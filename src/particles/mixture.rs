@@ -340,7 +340,7 @@ mod tests {
         let mixed =
             lattice(10, |p| Some((p.x * 7 + p.y * 13 + p.z * 29).rem_euclid(3).min(1) as f32));
         let drop = lattice(10, |p| Some(f32::from(p.length_squared() < 30)));
-        // Spray above water, which is wider than the spray.
+        // Spray above a layer of water that is wider than the spray.
         let spray = lattice(10, |p| match p.z {
             ..=0 => Some(0.0),
             _ => (p.truncate().abs().max_element() < 8 && p.element_sum() % 3 == 0).then_some(1.0),

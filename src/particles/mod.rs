@@ -450,7 +450,7 @@ fn bounds_of_fours(fours: &[[[f64; 3]; 4]]) -> Option<Bounds> {
             let c = four[lane];
             lo[lane] = if c < lo[lane] { c } else { lo[lane] };
             hi[lane] = if c > hi[lane] { c } else { hi[lane] };
-            // Becomes NaN if a coordinate is not finite.
+            // `zero` becomes NaN if a coordinate is not finite.
             zero[lane] += c * 0.0;
         }
     }

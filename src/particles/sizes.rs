@@ -767,7 +767,7 @@ mod tests {
         let of_one = Cloud::new(&positions).with("radius", &same);
         let one = FoundSizes::One { attribute: "radius".to_owned(), size: 1.0, invalid: 1 };
         assert_eq!(Sizes::found(&of_one, &columns), Ok(one));
-        // Applies the measured sizes to another frame.
+        // Apply the measured sizes to another frame.
         let half = Sizes { coarsest: 0.99, ..sizes };
         assert_eq!(half.strays(&of_one, &columns), StraySizes { invalid: 1, larger: 71_999 });
         let whole = Sizes { coarsest: 1.0, ..half };

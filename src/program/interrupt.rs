@@ -116,7 +116,8 @@ pub fn catch_crashes() {
 fn abandon(message: &[u8]) {
     static IS_ABANDONED: AtomicBool = AtomicBool::new(false);
     if IS_ABANDONED.swap(true, Ordering::Relaxed) {
-        // Another thread is removing the files, or this thread crashed while removing them.
+        // Another thread is removing the files and needs time to finish, or this thread crashed
+        // while removing them.
         std::thread::sleep(Duration::from_millis(300));
         return;
     }

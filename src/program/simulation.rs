@@ -173,7 +173,8 @@ impl Listener<'_> {
         for warning in &done.warnings {
             if let Warning::LeftOut(_) | Warning::Renamed { .. } | Warning::Coarse { .. } = warning
             {
-                // The shape of an array can differ from frame to frame.
+                // The shape of an array can differ from frame to frame, so count these warnings by
+                // the name of the array instead of the text of the warning.
                 let key = match warning {
                     Warning::LeftOut(part @ UnreadPart::OtherShape { .. }) => part.attribute(),
                     _ => None,

@@ -60,7 +60,7 @@ impl ReconstructOptions {
 /// Rejects a nonempty file that does not begin with a JSON object.
 fn refuse_other_contents(path: &Path) -> Result<(), Error> {
     let mut first = [0];
-    // Ignores read errors, because the program may have the permission to append to a file but not
+    // Ignore read errors, because the program may have the permission to append to a file but not
     // the permission to read it.
     match File::open(path).and_then(|mut file| file.read(&mut first)) {
         Ok(1) if first != *b"{" => Err(Error::Request(format!(

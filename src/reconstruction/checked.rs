@@ -148,7 +148,7 @@ pub(super) fn refuse_named(
     with: impl FnOnce() -> Conflict,
 ) -> Result<(), Error> {
     debug_assert!(names.iter().all(|name| Settings::ALL.contains(&Setting::named(name))));
-    // A size of `none` can be combined with every other setting.
+    // `size` conflicts with other settings only if it names an attribute.
     let applies = |name| name != "size" || settings.asks_for_sizes();
     let is_named = |setting: Setting| names.contains(&setting.name()) && applies(setting.name());
     refuse(settings, &Settings::default(), is_named, with)

@@ -96,7 +96,8 @@ impl OpenedFrame {
         let resources = &checked.resources;
         let plan = estimate.plan(resources.budget);
         let solids = checked.surfacing.solid_bytes();
-        // Simplifying holds each remaining triangle as three 64-bit numbers in two passes.
+        // Each of the two passes of simplifying holds every remaining triangle as three 64-bit
+        // numbers.
         let simplified = [BYTES_PER_THREAD * checked.threads as u64, 3 * estimate.surface];
         let holds_whole_mesh = checked.settings.holds_whole_mesh(format);
         Ok(Some(Needs {

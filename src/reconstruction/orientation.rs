@@ -45,7 +45,7 @@ impl Settings {
     pub(crate) fn orientation(&self, usual: UpAxis, format: MeshFormat) -> Orientation {
         let particles = self.particles_up.unwrap_or(usual);
         match format {
-            // The node of a `.glb` rotates the stored vertices.
+            // A `.glb` stores the vertices without a rotation. Its node rotates them.
             MeshFormat::Glb(_) => Orientation { particles, file: particles, shown: UpAxis::Y },
             // In Alembic, y always points up.
             MeshFormat::Abc(_) => Orientation { particles, file: UpAxis::Y, shown: UpAxis::Y },

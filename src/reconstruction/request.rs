@@ -360,7 +360,8 @@ impl SamplingRequest {
             return Err(SettingConflict { setting: Setting::named(needs_one), with }.into());
         }
         let warning = corrected_by_neighbours(particles, &columns, sizes);
-        // Smoothing lengths are proportional to the sizes, but not equal to them.
+        // Programs define smoothing lengths differently. Unless the user named them, use them as
+        // sizes only if the measured density confirms their scale.
         let is_sure = !is_usual || !columns.are_smoothing_lengths() || sizes.density.is_some();
         Ok(is_sure.then_some((found, warning)))
     }
@@ -526,7 +527,8 @@ impl SamplingRequest {
                 [0, 1, 2].map(|a| if walled[a].is_finite() { walled[a] } else { middle[a] }),
             )
         });
-        // The origin moves only along the axes that need it, by whole cells.
+        // The origin moves by whole cells, and only along axes on which the middle is farther than
+        // `reach` from 0.
         let origin = middle
             .to_array()
             .map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
@@ -548,7 +550,8 @@ impl SamplingRequest {
             let coarse = place.step.is_some_and(|step| SpacingWarning::is_coarse(step, spacing));
             place.plane.is_none() && !coarse && !is_suspicious(neighbours, spacing)
         });
-        // A spacing from a scene file must be checked: see `cells_by`.
+        // A spacing from a scene file must be checked, because the file may belong to other
+        // particles.
         let is_scene = matches!(source, SpacingSource::Scene(_));
         let evidence = match known_evidence {
             None if !is_confirmed || is_scene => evidence(particles),
@@ -656,8 +659,8 @@ impl SamplingRequest {
         carried: Vec<usize>,
         resources: Resources,
     ) -> Result<ChosenSampling, Error> {
-        // The count is returned with the grid on which it was made. A failure is ignored here,
-        // because it occurs again later, where it is reported.
+        // The count is returned with the grid on which it was made. Ignore a failure here, because
+        // the same failure occurs again later and is reported there.
         let count = |cell_size: f64, visit: PositionVisitor<'_>| {
             let grid = self.grid(cell_size).ok()?;
             let domain = self.domain(&grid).ok()?;
@@ -734,7 +737,8 @@ impl SamplingRequest {
             resources,
         };
         if let Some((faces, surfacing)) = &self.periodic {
-            // The reach of the filters is only known for valid cells.
+            // This check comes first, because the reach of the filters is only known for valid
+            // cells.
             sampling.check_fit(surfacing)?;
             let coarsest = sizes.map(|sizes| sizes.coarsest);
             let reach = surfacing.reach(method, spacing, coarsest, &grid);

@@ -229,7 +229,8 @@ impl Simulation {
         }
         let inputs = match (Inputs::of(&self.inputs, format)?, &self.inputs[..]) {
             (Some(inputs), _) => inputs,
-            // The input is a folder that does not exist yet.
+            // A path that does not exist is a folder if it ends with a separator, or if it is
+            // watched and is not named like an input file.
             (None, [path])
                 if !path.exists()
                     && (self.watch.is_some() && !is_known(path)

@@ -139,6 +139,7 @@ impl Conversion<'_> {
             archive.forget()?;
         }
         // If all frames must be made, the lanes open the first frames during the calibration.
+        // Otherwise, the calibration comes first.
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames)?;

@@ -204,7 +204,7 @@ impl Setup<'_> {
                 !lacks_some(shared) && shared.kinds.iter().all(|known| known.is_evident);
             let Some(frame) = frames.get(index).filter(|_| !is_settled) else { break };
             self.check_cancelled()?;
-            // A frame that cannot be read fails when it is converted.
+            // Ignore a frame that cannot be read, because its conversion will report the error.
             let Ok(file) = self.open_particles(frame, resources) else { continue };
             if file.particles.is_empty() {
                 continue;

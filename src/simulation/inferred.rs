@@ -533,7 +533,7 @@ mod tests {
                 &["f_1.01.xyz", "f_1.02.xyz", "f_2.01.xyz", "f_2.02.xyz"],
                 ["\"f_{time}.xyz\"", "\"f_1.{}.xyz\""],
             ),
-            // Pieces of two frames, or two simulations.
+            // These files can be the pieces of two frames, or the frames of two simulations.
             (
                 &["a_1_0.xyz", "a_1_1.xyz", "a_1_2.xyz", "a_2_0.xyz", "a_2_1.xyz", "a_2_2.xyz"],
                 ["\"a_{}_{piece}.xyz\"", "\"a_1_{}.xyz\""],
@@ -554,7 +554,7 @@ mod tests {
                 ["\"a_{}_rank{piece}.xyz\"", "\"a_{}_rank0.xyz\""],
             ),
             (&["rank0.xyz", "rank1.xyz"], ["\"rank{}.xyz\"", "join"]),
-            // The second number may be the total number of pieces.
+            // In `g-0_2-050`, for example, 2 may be the number of pieces.
             (
                 &["g-0_2-050.xyz", "g-1_2-050.xyz", "g-0_2-100.xyz", "g-1_2-100.xyz"],
                 ["\"g-{piece}_2-{}.xyz\"", "\"g-0_2-{}.xyz\""],

@@ -495,7 +495,7 @@ impl Sequence {
         };
         let (mut alike, others): (Vec<_>, Vec<_>) =
             files.iter().filter(is_alike).cloned().partition(is_frame);
-        // Leaves out meshes, because they can be the outputs of this conversion.
+        // Leave out meshes, because they can be the outputs of this conversion.
         let others = without_meshes(others);
         if others.is_empty() {
             return Ok(());
@@ -637,7 +637,7 @@ fn without_meshes(files: Vec<FrameCandidate>) -> Vec<FrameCandidate> {
         let last = file.pattern(file.runs.len() - 1);
         by_last.entry((last.prefix, last.suffix)).or_default().push(file);
     }
-    // If a file cannot be read, its conversion reports the error.
+    // Keep a file that cannot be read, because its conversion will report the error.
     by_last.retain(|_, files| !holds_mesh(&files[0].path).unwrap_or(false));
     by_last.into_values().flatten().collect()
 }
@@ -706,7 +706,7 @@ fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     for entry in entries {
         let entry = entry.map_err(fail)?;
         let path = entry.path();
-        // Leaves out pipes, because opening a pipe would wait for another program. Keeps broken
+        // Leave out pipes, because opening a pipe would wait for another program. Keep broken
         // links, so that they are reported.
         let is_file = match entry.file_type() {
             Ok(kind) if !kind.is_symlink() => kind.is_file(),

@@ -121,8 +121,7 @@ impl Naming {
 
 /// The text between a frame's number and the extension, without the number of a snapshot's piece.
 fn tail(suffix: &str) -> String {
-    // Puts the number 0 before the suffix, to get a complete name. The number is removed again
-    // below.
+    // Put the number 0 before the suffix to get a complete name. The number is removed again below.
     let name = format!("0{suffix}");
     let whole =
         snapshot_piece(Path::new(&name)).map(|(whole, _)| whole.to_string_lossy().into_owned());

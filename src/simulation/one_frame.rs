@@ -326,7 +326,7 @@ impl Conversion<'_> {
             });
         }
         let (spacing, sizes) = (shared.spacing, shared.sizes.as_ref());
-        // The calibration frame was checked for this warning when it was measured.
+        // The sizes of the calibration frame were checked when the frame was measured.
         let of_sizes = if frame.number == shared.frame {
             None
         } else {

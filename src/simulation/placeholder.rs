@@ -91,7 +91,7 @@ fn printf(text: &str) -> Found {
 /// number of digits, and must not be next to letters or digits.
 fn marks(text: &str, sign: char, before: Option<char>) -> Found {
     if before == Some(sign) {
-        // The run of signs begins before this sign, and was rejected because it is too long.
+        // This sign is inside a run of equal signs, which was rejected because it is too long.
         return None;
     }
     let count = text.len() - text.trim_start_matches(sign).len();

@@ -122,7 +122,7 @@ impl Simulation {
                 frames.iter().map(|frame| frame.number).filter(|&number| plan.includes(number));
             Ok(wanted.collect::<Vec<_>>())
         })?;
-        // Only one simulation can be planned at once.
+        // `planned` allows only one simulation, so there is at most one list of numbers.
         Ok(numbers.into_iter().filter_map(|(_, numbers)| numbers.ok()).flatten().collect())
     }
 

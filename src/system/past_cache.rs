@@ -121,7 +121,7 @@ fn write_pages(mut file: &File, pages: &[u8]) -> io::Result<usize> {
             Ok(0) => return Err(ErrorKind::WriteZero.into()),
             Ok(count) => written += count,
             Err(fault) if fault.kind() == ErrorKind::Interrupted => {}
-            // Some file systems require the cache, but report this only when data is written.
+            // Some file systems reject direct I/O, but report this only when data is written.
             Err(fault) if fault.kind() == ErrorKind::InvalidInput => break,
             Err(fault) => return Err(fault),
         }

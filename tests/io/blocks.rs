@@ -239,7 +239,7 @@ fn a_frame_of_meshes_alone_is_refused_and_a_damaged_file_is_not_left_out() {
     assert!(what.contains("Planes") && what.contains("ship"), "{what}");
     assert_eq!(error.path, listed.path("list.pvd"));
 
-    // The only data set of a frame is not left out.
+    // If the only data set of a frame is a mesh, it is not left out: opening the frame fails.
     let error = Listed::new(&[planes]).open().unwrap_err();
     assert!(matches!(error.fault, ReadFault::Mesh { faces: 2 }), "{error}");
 
@@ -283,7 +283,7 @@ fn no_particle_of_a_data_set_without_the_attribute_meets_a_condition() {
     assert_eq!(along(&file), [7.0, 9.0]);
     assert_eq!(attribute(&file, "Part type"), [0.0, 0.0]);
     assert_eq!((file.unselected, file.left_out), (4, vec![block("Planes", "a mesh of 2 faces")]));
-    // Without the attribute, no comparison is true.
+    // Particles without the attribute never meet a condition on it, even if the operator is `!=`.
     assert_eq!(along(&listed.open_where("Part type!=0").unwrap()), [8.0]);
     // If no particle meets the condition, the fault counts only the particles that have the
     // attribute.
@@ -348,8 +348,7 @@ fn a_data_set_without_points_is_reported_if_it_has_a_name() {
     assert_eq!(along(&file), [7.0]);
     assert_eq!(attribute(&file, "Part type"), [0.0]);
     assert_eq!(file.left_out, [block("foam", "no points")]);
-    // If a condition removes all particles of a data set, the data set does not count as one
-    // without points.
+    // A data set is not reported as having no points if a condition has removed its particles.
     let listed = Listed::new(&[
         ("name='foam' file='foam.csv'", &table(&[[1, 2]])),
         ("name='fluid' file='fluid.csv'", &table(&[[7, 0]])),
@@ -370,7 +369,7 @@ fn data_sets_that_are_left_out_keep_their_numbers_as_pieces() {
     let chunks = listed.open().unwrap().particles.chunks(10);
     let of_pieces: Vec<_> = chunks.iter().map(|chunk| (chunk.piece, chunk.count)).collect();
     assert_eq!(of_pieces, [(1, 1), (2, 2)]);
-    // A part of a frame opens only the pieces that it needs.
+    // Opening a part of a frame opens only the part's pieces, and ignores the damaged piece.
     fs::write(listed.path("PLANES.vtu"), "damaged").unwrap();
     let wanted =
         WantedParticles { pieces: WantedPieces::Numbered(&[2]), ..WantedParticles::default() };

@@ -134,7 +134,7 @@ fn a_step_of_a_grid_is_a_mesh_only_if_one_of_its_own_cells_has_an_area() {
         let bytes = replaced(&bytes, &types, &other);
         assert_eq!([0, 1, 2].map(|step| faces(&bytes, step)), of_steps, "{changed:?}");
         assert!(h5::has_faces(bytes.clone().into()).unwrap(), "{changed:?}");
-        // Without offsets, the cells of the steps follow each other.
+        // Without `CellOffsets`, the cells of each step follow those of the previous step.
         let bytes = replaced(&bytes, b"\0CellData\0", b"\0~ellData\0");
         let bytes = replaced(&bytes, b"\0CellOffsets\0", b"\0~ellOffsets\0");
         assert_eq!([0, 1].map(|step| faces(&bytes, step)), of_steps[..2], "{changed:?}");
@@ -229,7 +229,7 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
         assert!(fault.contains(message), "{fault} instead of {message}");
         assert!(largest < 1 << 20, "{largest} bytes for: {fault}");
     }
-    // Damages each occurrence of `from` in turn, and returns the errors.
+    // Damage each occurrence of `from` in turn, and return the errors.
     let faults = |bytes: &[u8], from: &[u8], to: &[u8], step: Option<u64>| -> Vec<String> {
         let damaged = places(bytes, from).into_iter().map(|at| {
             let mut damaged = bytes.to_vec();

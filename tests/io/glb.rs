@@ -98,7 +98,7 @@ fn a_plain_glb_preserves_the_mesh_and_its_velocity_in_f32() {
     let narrow: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.map(|x| x as f32)).collect();
     let positions = named("POSITION");
     assert_eq!(soup(&positions, &triangles(&json, &binary)), soup(&narrow, &mesh.triangles));
-    // Vertices keep their attributes.
+    // The writer may reorder vertices, but each vertex must keep its normal and its velocity.
     let velocity = mesh.attributes.iter().find(|a| a.name == "velocity").unwrap();
     let of = |i: usize| -> [f32; 3] { velocity.values[3 * i..][..3].try_into().unwrap() };
     let whole = |p: &[f32; 3], n: &[f32; 3], v: &[f32; 3]| [p.as_slice(), n, v].concat();
@@ -214,7 +214,7 @@ fn the_glb_node_rotates_z_up_to_y_up_and_holds_large_offsets() {
         .iter()
         .map(|x| x.as_f64().unwrap())
         .collect();
-    // Up is y. The former y axis points to the viewer.
+    // In the file, y points up. The z axis of the mesh becomes y, and its y axis becomes -z.
     assert_eq!(translation.len(), 3);
     for (found, expected) in translation.iter().zip([1e6, 3e6, -2e6]) {
         assert!((found - expected).abs() < 1e-3, "{translation:?}");

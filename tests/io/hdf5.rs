@@ -50,7 +50,7 @@ fn an_h5part_step_is_a_frame_with_its_time_and_vector_columns() {
 
 #[test]
 fn hdf5_with_two_coordinates_leads_to_advice_to_add_a_third() {
-    // Renames the data set z.
+    // Rename the data set z, so that the third coordinate is missing.
     let mut bytes = fs::read(data("steps.h5part")).unwrap();
     let places: Vec<_> =
         (0..bytes.len()).filter(|&at| bytes[at..].starts_with(b"\0z\0\0\0\0\0\0\0")).collect();
@@ -193,8 +193,8 @@ fn groups_of_the_root_that_are_called_by_numbers_are_frames() {
             "{error}"
         );
     }
-    // The names may also be those of types: the groups have different members, or there is another
-    // group of particles.
+    // If the groups have different members, or if there is another group of particles, the numbers
+    // may be types of particles, so the groups are not frames.
     for (name, types) in [("number_types.h5", "0, 1"), ("number_walls.h5", "0, 1, wall")] {
         assert!(steps(&data(name), None).unwrap().is_empty(), "{name}");
         let error = open(name).unwrap_err();

@@ -65,7 +65,7 @@ fn every_storage_type_is_read_in_every_form_and_arrangement() {
     for form in Form::ALL {
         for (storage, ..) in STORAGES {
             for points in [0, 1, 1024, 1025, 2100] {
-                // Each file has one attribute for each arrangement.
+                // The file contains one attribute for each layout and each number of components.
                 let mut attributes = vec![position(points)];
                 let mut expected = Vec::new();
                 for components in [1, 2, 4] {

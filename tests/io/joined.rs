@@ -79,7 +79,7 @@ fn joined_byte_colours_become_fractions_and_other_scale_mixes_are_refused() {
         assert_eq!((&*refused.path, &**other), (paths[1], paths[0]));
         assert_eq!([*scale, *of_other], scales);
     }
-    // Black is valid in any scale.
+    // A black colour is 0 in every scale.
     for other in [&*shares, &*large, &*bytes] {
         join(&[&dark, other]).unwrap();
     }

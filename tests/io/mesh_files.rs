@@ -562,7 +562,7 @@ fn a_truncated_file_is_refused_at_every_length() {
     for length in 0..VTP_TEXT.len() {
         assert!(MeshFormat::Vtp.read(&VTP_TEXT.as_bytes()[..length]).is_err(), "{length}");
     }
-    // These two formats do not store the length of the file, so a file that ends between two lines
+    // OBJ and legacy VTK do not store the length of the file, so a file that ends between two lines
     // or sections is valid.
     for format in [MeshFormat::Obj, MeshFormat::Vtk] {
         let bytes = written(format, &mesh, CoordinateWidth::F32);

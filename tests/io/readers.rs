@@ -648,7 +648,7 @@ fn separate_components_of_a_velocity_in_vtk_xml_are_also_a_vector() {
     let expected = [("vz", 1), ("rho", 1), ("vx", 1), ("vy", 1), ("velocity", 3)];
     assert_eq!(attributes(&file), expected);
     assert_eq!(attribute(&file, "velocity"), [1.0, 3.0, 5.0, 2.0, 4.0, 6.0]);
-    // `U` can be a displacement, so the components are preferred.
+    // `U` can be a displacement, so the velocity is joined from vx, vy and vz.
     let text = text.replace("<PointData>", &format!("<PointData>{}", array("U", 3, "9 9 9 9 9 9")));
     let file = read(VTU, text.as_bytes()).unwrap();
     let velocity = velocity_attribute(file.particles.attributes()).unwrap();
@@ -740,7 +740,7 @@ fn npz_frames_have_the_times_of_an_array_of_that_length() {
             let step = Some(step);
             let of_frames = |name, times| time(&frames, step, name, times);
             assert_eq!(of_frames("time", doubles("(2,)", &[0.25, -4.0])), Some(expected));
-            // Integers usually count steps.
+            // Integers usually count steps, so they are not read as times.
             assert_eq!(of_frames("times", whole([1, -16])), None);
             assert_eq!(of_frames("time", doubles("(4,)", &[0.25, -4.0, 7.0, 8.0])), None);
             assert_eq!(of_frames("speeds", doubles("(2,)", &[0.25, -4.0])), None);
@@ -1023,7 +1023,8 @@ fn huge_counts_of_encoded_numbers_are_refused_without_allocating() {
             for field in 0..if layout.is_compressed() { 3 } else { 1 } {
                 let width = if layout.wide { 8 } else { 4 };
                 let mut bytes = bytes.clone();
-                // Find the offset of the array of points, which the last element contains.
+                // The last element of the file, AppendedData, contains the array of points. Find
+                // its offset.
                 let offset: usize = text
                     .split("Name=\"Points\"")
                     .nth(1)

@@ -159,7 +159,7 @@ fn a_usd_stage_plays_every_frame_of_times_with_six_digits() {
             assert!(stage.contains(line), "{line} is not in {stage}");
         }
     }
-    // The range of the stage also includes frames between whole time codes.
+    // The range of the stage is rounded outwards, so that it includes frames between time codes.
     let stage = stage_of(Some(24.0), &[0.020_833, 0.500_047, 0.900_049]);
     for line in ["startTimeCode = 0\n", "endTimeCode = 22\n", "(12, 1), (21.6"] {
         assert!(stage.contains(line), "{line} is not in {stage}");
@@ -207,7 +207,7 @@ fn late_frames_of_an_archive_have_the_times_of_whole_frames() {
     for fps in [Some(25.0), None] {
         assert_eq!(times(fps, &late), [0.0, 1.0 / 25.0, 2.0 / 25.0, 3.0 / 25.0]);
     }
-    // Uneven times are exact if no rate is given.
+    // If no rate is given, uneven times are kept exactly.
     assert_eq!(times(None, &[0.0, 0.04, 0.1, 0.13]), [0.0, 0.04, 0.1, 0.13]);
 }
 

@@ -295,7 +295,8 @@ fn contiguous_arrays_are_read_in_place_without_scratch_files() {
         let file = open_wanted(&data(name), wanted, nowhere).unwrap();
         assert_eq!(file.particles.scratch_bytes(), 0, "{name}");
     }
-    // Arrays in chunks need memory or scratch files, and neither is available here.
+    // The reader must copy an array that is stored in chunks to memory or to a scratch file, and
+    // neither is available here.
     let error = open_wanted(&data("grid.vtkhdf"), wanted, nowhere).unwrap_err();
     assert!(matches!(error.fault, ReadFault::Scratch(_)), "{error}");
 }

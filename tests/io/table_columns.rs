@@ -112,7 +112,7 @@ fn unnamed_columns_of_identifiers_and_types_are_refused() {
         (table(16, |i| format!("water 1 {}", place(i))), "column 2", "`name type x y z`"),
         (table(20, |i| format!("1 {} water", place(i))), "column 1", "`type x y z ...`"),
         (table(20, |i| format!("1 {} {}", place(i), place(i + 1))), "column 1", "`type x y z ...`"),
-        // In a lattice, a type before the position would make particles coincide.
+        // If a lattice's type, x and y were read as the position, particles would coincide.
         (table(300, |i| format!("1 {}", lattice(i, [10, 6]))), "column 1", "`type x y z`"),
         (
             table(300, |i| format!("1 {} 0.5 0 0", lattice(i, [10, 6]))),
@@ -168,7 +168,7 @@ fn whole_coordinates_of_lattices_and_planes_are_not_taken_for_types() {
         table(20, |i| format!("0 {} 0 {}", &place(i)[..11], &place(i + 1)[..11])),
         table(20, |i| format!("1.0 {} {}", &place(i)[..11], place(i + 1))),
         table(20, |i| format!("{} 0 {}", &place(i)[..11], place(i + 1))),
-        // Planes at several whole numbers.
+        // Particles in planes at several whole numbers of x.
         table(8, |i| format!("{} {} {}", i % 2, &place(i)[..11], place(i + 1))),
         table(60, |i| format!("{} {} {} {}", i % 3, (i / 3) as f64 / 2.0, i % 5, place(i))),
         // A column of water at x = 0 and y = 0, whose pressure depends on the depth.
@@ -478,7 +478,7 @@ fn frames_whose_rows_are_interleaved_or_unequal_give_a_warning() {
         let (column, first, last) = (column.to_owned(), "0".to_owned(), last.to_owned());
         vec![UnreadPart::Times { column, count, first, last }]
     };
-    // The path of each particle: its rows have all times.
+    // The rows give the path of each particle: each particle has a row for each of the four times.
     let paths = table(40, |i| format!("{} {} {}", i / 4, 0.25 * (i % 4) as f64, place(i)));
     assert_eq!(found("id t x y z", &paths), times("t", 4, "0.75"));
     let long = table(60_000, |i| format!("{} {}", i % 3, place(i)));
@@ -487,7 +487,7 @@ fn frames_whose_rows_are_interleaved_or_unequal_give_a_warning() {
     assert_eq!(found("time x y z", &descending), times("time", 4, "3"));
     let growing = table(40, |i| format!("{} {}", i / 30, place(i)));
     assert_eq!(found("time x y z", &growing), times("time", 2, "1"));
-    // Only one of the columns of times has several times.
+    // Of the columns `step` and `time`, only `time` has several values.
     let constant = table(40, |i| format!("7 {} {}", i % 2, place(i)));
     assert_eq!(found("step time x y z", &constant), times("time", 2, "1"));
     // Spreadsheets write empty rows at the end.

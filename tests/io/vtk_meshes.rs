@@ -105,7 +105,7 @@ fn cell_types_after_the_first_face_are_not_read() {
     let folder = TempDir::new().unwrap();
     let path = written(&folder, "a.vtu", grid(["1 10 wrong", "1"]));
     assert!(holds_mesh(&path).unwrap());
-    // The error for particles gives the number of faces, so all types are read.
+    // The error of `open` gives the number of faces, so `open` reads all cell types.
     assert!(matches!(open(&path).unwrap_err().fault, ReadFault::Line { .. }));
     let path = written(&folder, "a.vtu", grid(["1 wrong 10", "1"]));
     holds_mesh(&path).unwrap_err();
@@ -182,7 +182,7 @@ fn a_grid_is_refused_as_particles_with_the_same_reason_in_every_format() {
     for name in ["a.vtk", "a.vtu"] {
         assert_eq!(faces(&folder.path().join(name)), 1, "{name}");
     }
-    // No mesh is read from a .vtu, so its contents are described as particles.
+    // The library reads no meshes from .vtu files, so `info` tries to read particles.
     let error = info(folder.path().join("a.vtu")).unwrap_err();
     let Error::Read(ReadError { fault: ReadFault::Mesh { faces: 1 }, .. }) = error else {
         panic!("{error}")

@@ -383,7 +383,7 @@ fn commands_without_memory_or_threads_fail_and_leave_no_files() {
     ];
     let inputs = ["ball.ply", "ball.xyz", "ball_1.xyz", "ball_2.xyz"];
     let mut results = [0; 2];
-    // The limit also applies to the stacks of threads, so with a small limit no thread can start.
+    // `ulimit -d` also limits the stacks of threads, so with a small limit no thread can start.
     for kib in [1, 2, 4, 6, 8, 12, 16, 20, 24, 30, 40, 60, 1000].map(|mib| 1000 * mib) {
         for command in commands {
             let limited = in_shell(folder.path(), &format!("ulimit -d {kib}"), command);

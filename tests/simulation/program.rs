@@ -369,7 +369,7 @@ fn a_selection_without_frames_is_an_error_for_every_kind_of_input() {
         }
     }
     assert!(tree(folder.path()) == before);
-    // Another simulation in the folder, which has a selected frame, is converted.
+    // Add another simulation to the folder. It has a selected frame, so it is converted.
     let ball = folder.path().join("in/f_1.xyz");
     fs::copy(ball, folder.path().join("in/g_9.xyz")).unwrap();
     let errors = run(folder.path(), &["in", "-o", "out/", "--start", "5"], 1);
@@ -674,7 +674,8 @@ fn every_frame_uses_the_calibration_of_the_state_not_its_own() {
             single(&[&mu0[..], &["--iso", &iso]].concat()) == made["m_2.ply"],
             "{indicator}: frame 2 does not use {shared}"
         );
-        // The frame's own calibration, and its own isovalue, would give a different mesh.
+        // With its own calibration, or with the shared mu0 and its own isovalue, frame 2 would have
+        // a different mesh.
         assert!(single(&[]) != made["m_2.ply"], "{indicator}");
         assert!(single(&mu0) != made["m_2.ply"], "{indicator}");
     }
@@ -937,8 +938,8 @@ fn an_empty_frame_of_a_vdb_sequence_has_the_voxels_of_the_other_frames() {
     assert!(whole.active_voxels > Some(1000) && empty.active_voxels == Some(0));
     assert_eq!(whole.voxel_size, Some([0.4; 3]));
     assert_eq!(empty.voxel_size, whole.voxel_size);
-    // A grid without voxels has the bounds of index 0, which lies on the lattice of the other
-    // frame.
+    // A grid without voxels has the position of index 0 as its bounds. This position must lie on
+    // the lattice of the other frame's grid.
     let [from, to] = [&empty, &whole].map(|grid| grid.bounds.unwrap()[0]);
     for axis in 0..3 {
         let index = whole.index_bounds.unwrap()[0][axis];
@@ -995,7 +996,7 @@ fn empty_vtk_frames_need_no_attributes_and_get_those_of_other_frames() {
         let bytes = fs::read(input.join("m_1.ply")).unwrap();
         let header = String::from_utf8_lossy(&bytes);
         assert!(header.contains("element vertex 0") && header.contains("float vx"), "{header}");
-        // The attribute is required in frames with particles.
+        // Frames with particles must have the attribute that --attributes names.
         let out = format!("{extension}/n_{{}}.ply");
         let unknown = ["-o", &out, "--spacing", "0.5", "--attributes", "heat"];
         let errors = run(folder.path(), &[&[extension], &unknown[..]].concat(), 1);
@@ -1397,7 +1398,7 @@ fn the_up_axis_rotates_positions_normals_and_vectors_and_back() {
     assert_eq!(values(&z, "velocity")[..3], [1.0, -3.0, 2.0]);
     assert_eq!(values(&y, "mass"), values(&z, "mass"));
     assert_eq!(y.triangles, z.triangles);
-    // If z is up in the particles, a mesh with z up is not rotated, and a mesh with y up is rotated
+    // If z points up in the particles, a mesh with z up is not rotated. A mesh with y up is rotated
     // in the opposite direction.
     assert!(mesh("zz.vtk", &["--particles-up", "z"]) == y);
     let back = mesh("zy.vtk", &["--particles-up", "z", "--up", "y"]);
@@ -1432,7 +1433,7 @@ fn times_in_the_input_files_become_the_times_of_the_listings() {
 
 #[test]
 fn the_rate_of_a_stage_comes_from_the_frames_of_all_jobs() {
-    // The times of the first two frames alone imply another rate.
+    // Frames 1 and 2 alone, at 0 and 0.08 s, imply another rate than all four frames.
     let folder = timed(&[(1, "0"), (2, "0.08"), (3, "0.12"), (4, "0.16")]);
     let stage = |runs: &[&[&str]]| {
         let out = folder.path().join("out");
@@ -1455,7 +1456,7 @@ fn the_rate_of_a_stage_comes_from_the_frames_of_all_jobs() {
 fn resuming_keeps_the_frame_rate_and_refuses_another() {
     let folder = falling(1..=3);
     let out = folder.path().join("out");
-    // Only archives contain times.
+    // Only .abc files contain times, so only they are made again for a new rate.
     for (output, depends) in [("out/m_{}.usdc", false), ("out/m_{}.abc", true), ("out/m.abc", true)]
     {
         let convert = |more: &[&str], code| {
@@ -1659,7 +1660,7 @@ fn meshes_in_a_list_are_left_out_and_reported_once() {
     let messages = run(folder.path(), &["list.pvd", "-o", "listed/"], 0);
     let [alone, listed] = ["alone", "listed"].map(|out| meshes_in(&folder.path().join(out)));
     assert!(alone == listed, "{messages}");
-    // The first frame with the mesh reports it, and the last message gives the number of frames.
+    // The first frame with the block reports it, and the last message gives the number of frames.
     assert_eq!(messages.matches("block \"Walls\"").count(), 2, "{messages}");
     assert!(messages.contains("in 3 frames, meniscus left out block \"Walls\""), "{messages}");
 }
@@ -1854,12 +1855,13 @@ fn an_integer_colour_keeps_the_scale_of_the_calibration_frame() {
             assert!(values.iter().all(is_equal), "{scalar}: {colour} became {}", values[0]);
         }
     }
-    // If the values of a frame do not fit, only this frame fails.
+    // If one frame has a value above 255, the maximum of these colours, only this frame fails.
     write("int", [200.0, 20.0, 4.0, 300.0]);
     let errors = run(folder.path(), &all, 1);
     assert!(errors.contains("\"Cd\" has the value 300"), "{errors}");
     assert_eq!(made(3).0, "color");
-    // If the calibration frame has no colour, no frame has one.
+    // If the calibration frame has 32-bit integers above 255, the attribute is no colour in any
+    // frame.
     write("int", [300.0, 20.0, 4.0, 200.0]);
     run(folder.path(), &all, 0);
     for (frame, expected) in [(1, 300.0), (4, 200.0)] {

@@ -9,7 +9,8 @@ fn main() {
         let (major, minor) = (get("CARGO_PKG_VERSION_MAJOR"), get("CARGO_PKG_VERSION_MINOR"));
         let version = if major == "0" { format!("0.{minor}") } else { major };
         println!("cargo::rustc-cdylib-link-arg=-Wl,-soname,libmeniscus.so.{version}");
-        // The library's threads may still run its code shortly after the last call has returned.
+        // `nodelete` keeps the library loaded after `dlclose`, because the library's threads may
+        // still run its code shortly after the last call has returned.
         println!("cargo::rustc-cdylib-link-arg=-Wl,-z,nodelete");
     }
 }

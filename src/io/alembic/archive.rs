@@ -257,7 +257,7 @@ fn put_header(
     list: &mut MetadataList,
 ) {
     let sizes = [name.len() as u32, metadata.len() as u32];
-    // All numbers of a header are stored with the width of the largest.
+    // All numbers of a property header are stored with the width that the largest number needs.
     let (code, width) = match numbers.iter().chain(&sizes).copied().fold(0, u32::max) {
         ..=0xff => (0, 1),
         0x100..=0xffff => (1, 2),

@@ -158,8 +158,8 @@ impl FrameArchive {
         if fs::metadata(&path).map_or(0, |file| file.len()) != mesh.bytes {
             return Ok(());
         }
-        // Other processes may add frames at the same time, so this locks the folder if the file
-        // system supports locks.
+        // Lock the folder if the file system supports locks, because other processes may add frames
+        // at the same time.
         let folder_lock = File::open(&self.folder).ok().filter(|folder| folder.lock().is_ok());
         let mut known = self.frames();
         if known.fingerprint != fingerprint {
@@ -167,8 +167,8 @@ impl FrameArchive {
         }
         let crc_of_file = || File::open(&path).and_then(crc).ok();
         if known.holds(mesh) && known.crc(mesh.frame) == crc_of_file() {
-            // An earlier process was killed after it added the frame but before it removed the
-            // file.
+            // The archive already contains this frame: an earlier process was killed after it added
+            // the frame but before it removed the frame's file.
             return fs::remove_file(&path).map_err(fail);
         }
         self.append(&mut known, mesh, &path, times)?;
@@ -238,8 +238,8 @@ fn extend(
     archive.seek(SeekFrom::Start(HEADER - 8))?;
     archive.read_exact(&mut stored_root)?;
     if u64::from_le_bytes(stored_root) != known.root {
-        // An earlier process was killed after it changed the header but before it replaced
-        // `archive.json`.
+        // The header does not match `archive.json`: an earlier process was killed after it changed
+        // the header but before it replaced `archive.json`. Restore the header.
         set_root(&mut archive, known.root)?;
     }
     archive.set_len(known.end)?;

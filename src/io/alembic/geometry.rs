@@ -142,7 +142,7 @@ pub fn positions(arrays: &[AbcArray]) -> (Vec<u64>, u64) {
 fn parameter(pod: AbcPod, extent: u8, times: usize, meaning: &str) -> String {
     let interpretation =
         if meaning.is_empty() { String::new() } else { format!("interpretation={meaning};") };
-    // Without this flag, readers interpret pairs of numbers as texture coordinates.
+    // Without `notUV`, readers interpret pairs of numbers as texture coordinates.
     let not_uv = if extent == 2 { "notUV=1;" } else { "" };
     format!(
         "arrayExtent={times};geoScope=vtx;{interpretation}isGeomParam=true;{not_uv}\

@@ -59,7 +59,7 @@ impl OgawaBlocks {
     }
 
     pub fn group(&mut self, children: &[OgawaChild]) -> OgawaChild {
-        // A group without children is not stored, and has no position.
+        // A group without children is not stored. Its position is 0.
         if children.is_empty() {
             return OgawaChild(0);
         }

@@ -88,7 +88,7 @@ impl AbcArray {
                     .collect::<Vec<_>>()
                     .as_slice(),
             ),
-            // Polygons are clockwise as seen from outside.
+            // Polygons in Alembic are clockwise as seen from outside, so swap two corners.
             AbcSource::Corners => write_triangles(out, mesh, |triangles, out| {
                 for &[a, b, c] in triangles {
                     out.extend(
@@ -106,7 +106,7 @@ impl AbcArray {
             AbcSource::Normals => {
                 write_floats(out, mesh, |vertices| vertices.normals.as_flattened())
             }
-            // The mesh stores an integer as an f32 with the same 32 bits, so this also writes
+            // The mesh stores an integer as an f32 with the same 32 bits, so `write_floats` writes
             // integers unchanged.
             AbcSource::Attribute(index) => {
                 write_floats(out, mesh, |vertices| &vertices.attributes[index])

@@ -64,7 +64,7 @@ pub fn document(
         document["extensionsRequired"] = extensions;
         let fallback = json!({ "EXT_meshopt_compression": { "fallback": true } });
         document["buffers"] = json!([{ "byteLength": encoded_end }, { "byteLength": plain_end, "extensions": fallback }]);
-        // The maximum error of a position along each axis, which is half a step.
+        // `positionError` is the maximum error of a position along each axis: half a grid step.
         document["asset"]["extras"] = json!({ "positionError": space.step / 2.0 });
     }
     document

@@ -52,7 +52,7 @@ pub enum GlbCompression {
 /// The grid step of compressed positions. It is the smallest power of two for which 2^16 - 2 steps
 /// span `extent`.
 pub fn grid_step(extent: f64) -> f64 {
-    // The mesh's box is not aligned to the grid, so the positions may span one more step.
+    // The mesh's box is not aligned to the grid, so positions may span one more step than `extent`.
     let least = extent.max(f64::MIN_POSITIVE) / f64::from(u16::MAX - 1);
     2f64.powi(libm::log2(least).ceil() as i32)
 }

@@ -205,7 +205,7 @@ impl GlbView {
             ViewContent::Attribute(index, kind) => {
                 let stored = |&value: &f32| match stored(kind, value) {
                     value if value.is_finite() => value,
-                    // NaN and infinity have no exponent, and are stored as 0.
+                    // NaN and infinity have no exponent to encode, so store 0.
                     _ => 0.0,
                 };
                 let values = gathered(mesh, |vertices, out| {

@@ -124,7 +124,7 @@ const VIRTUAL: u8 = 3;
 fn unsupported_in(error: &Error) -> Option<ReadFault> {
     match error {
         Error::Context { path, source } => match &**source {
-            // The path has the form "child 'name' at 0x320".
+            // The context of the error has the form "child 'name' at 0x320". Extract the name.
             Error::UnsupportedLayoutClass(VIRTUAL) => {
                 let name = path.split('\'').nth(1).unwrap_or(path);
                 Some(virtual_set(&format!("the data set {name:?}")))

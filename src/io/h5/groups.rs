@@ -130,7 +130,7 @@ impl GroupSearch {
                 continue;
             }
             if seen.len() > MOST_GROUPS {
-                // Groups that are not searched might also have positions, so this is an error.
+                // Groups beyond this limit might also contain positions, so do not ignore them.
                 return Err(ReadFault::Unsupported(format!(
                     "the file has more than {MOST_GROUPS} HDF5 groups; copy the particles' group \
                      to a separate file, for example with h5copy"
@@ -166,7 +166,7 @@ impl GroupSearch {
                 fields.push_table(set)?;
                 search.push(joined(&name), &group, fields);
             }
-            // Skips groups such as `#refs#`, in which MATLAB stores references.
+            // Skip groups such as `#refs#`, in which MATLAB stores references.
             let below = groups.into_iter().rev().filter(|group| !group.name().starts_with('#'));
             if depth < DEEPEST {
                 ahead
@@ -213,7 +213,7 @@ impl GroupSearch {
                 None => contents::no_position(root)?,
             });
         }
-        // The last component of a path is used as the name if it is unique.
+        // Use the last component of a path as the name if no other path has the same one.
         let last = |path: &str| path.rsplit('/').next().unwrap_or_default().to_owned();
         let paths: Vec<String> = self.candidates.iter().map(|c| c.path.clone()).collect();
         let names = paths.iter().map(|path| {
@@ -223,7 +223,8 @@ impl GroupSearch {
         });
         let mut names: Vec<String> = names.collect();
         if let [only] = &names[..] {
-            // A condition that does not name the candidate may refer to an attribute `type`.
+            // If no condition on `type` names the only candidate, the conditions may refer to an
+            // attribute `type`, so this is no error.
             let called = Where::types(wanted).find(|named| named == only || **named == paths[0]);
             return Ok((
                 self.candidates.swap_remove(0),

@@ -138,8 +138,8 @@ pub fn open_particles(
             });
             read.map_err(|fault| ReadError::new(piece, fault))
         };
-        // Reads all files before it returns, so that it always returns the error of the first
-        // faulty piece.
+        // Read all files before returning, so that the error is always that of the first faulty
+        // piece.
         let all: Vec<_> = paths.par_iter().enumerate().map(open).collect();
         let all = all.into_iter().collect::<Result<Vec<_>, _>>()?;
         let filled = all.iter().find(|file| !file.particles.is_empty());
@@ -232,7 +232,7 @@ fn piece_paths(path: &Path, header: &SnapshotHeader) -> Result<Vec<PathBuf>, Rea
     let mut paths = Vec::new();
     for number in 0..header.files {
         let piece = path.with_file_name(format!("{stem}.{number}.{extension}"));
-        // Stops at the first missing file, in case the header announces far too many files.
+        // Stop at the first missing file, in case the header announces far too many files.
         piece.metadata().map_err(|fault| ReadError::new(&piece, fault.into()))?;
         paths.push(piece);
     }

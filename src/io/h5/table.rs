@@ -567,7 +567,7 @@ impl H5Table {
         let wanted = || arrays.iter().zip(&used).filter(|(_, used)| **used).map(|(array, _)| array);
         let in_file = rows == 0 || wanted().all(|array| array.in_place(&file).is_some());
         let mut decoded = UnpackBuffer::new(file.unpacking);
-        // For the address of each data set, the start of its decoded rows. All arrays that are
+        // Maps the address of each data set to the start of its decoded rows. All arrays that are
         // members of the same data set share these rows.
         let mut members = BTreeMap::new();
         let mut found: Vec<Vec<Column>> = Vec::new();

@@ -156,7 +156,7 @@ impl<'a> Chunks<'a> {
                 blosc::BloscFault::Damaged(what) => malformed(start, format!("chunk: {what}")),
             })
         });
-        // Collects all results first, so that the function always returns the error of the first
+        // Collect all results first, so that the function always returns the error of the first
         // damaged chunk.
         let results: Vec<Result<(), ReadFault>> = results.collect();
         results.into_iter().collect()

@@ -231,7 +231,7 @@ macro_rules! whole {
             fn of(number: JsonNumber) -> Option<Self> {
                 match number {
                     JsonNumber::Integer(whole) => Self::try_from(whole).ok(),
-                    // Accepts integers that are stored as floating-point numbers, such as `1.0` or
+                    // Accept integers that are stored as floating-point numbers, such as `1.0` or
                     // `1e3`.
                     JsonNumber::Real(real) => {
                         let whole = real as i64;

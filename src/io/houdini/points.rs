@@ -108,7 +108,7 @@ impl<'a> NumberBytes<'a> {
         let stride =
             width * pages.groups.iter().map(|group| group.components as usize).sum::<usize>();
         let mut tuples = Vec::new();
-        // Index of the first number of the page.
+        // Index of the first number of the current page.
         let mut at = 0;
         for page in 0..points.div_ceil(pages.size) {
             let rows = pages.size.min(points - page * pages.size);

@@ -236,7 +236,7 @@ impl PointArray {
                         let words = vertices.attributes[index].iter();
                         words.for_each(|&word| out.extend(kind.whole(word).to_le_bytes()));
                     })?,
-                    // The mesh stores an integer as an f32 with the same 32 bits, so this also
+                    // The mesh stores an integer as an f32 with the same 32 bits, so `write_floats`
                     // writes 32-bit integers unchanged.
                     _ => write_floats(out, mesh, |vertices| &vertices.attributes[index])?,
                 }

@@ -69,7 +69,7 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
         CoordinateWidth::F32 => "float",
         CoordinateWidth::F64 => "double",
     };
-    // Up to i32::MAX, int and uint have the same bytes. All programs support int.
+    // Prefer int, which all programs support. Up to i32::MAX, int and uint have the same bytes.
     let index = if mesh.vertex_count() <= i32::MAX as u64 { "int" } else { "uint" };
     let infos = mesh.attributes();
     let normals = if mesh.has_normals() { 3 } else { 0 };

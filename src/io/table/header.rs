@@ -226,13 +226,13 @@ fn vectors_in(line: &str) -> Vec<(Vec<String>, bool)> {
 /// are well known. `None` if no name is a vector.
 fn vectors_of(line: &str, names: &[String], short: ShortVectors) -> Option<(Vec<String>, bool)> {
     let listed = line.contains([',', ';']);
-    // Two words, such as `Material positions`, may be a title.
+    // Two words without commas or brackets, such as `Material positions`, may be a title.
     let are_vectors = || names.iter().all(|name| names_vector(name) || short.has(name));
     if !listed && names.len() < 3 && !line.contains(['[', '(']) && !are_vectors() {
         return None;
     }
     let is_named = |known: &str| names.iter().any(|name| name.eq_ignore_ascii_case(known));
-    // In `u v w`, `v` is a component.
+    // In a line with `u v w`, `v` is a component and not a vector.
     let has_components = !short.has("u") && is_named("u") || is_named("w");
     let (mut all, mut are_known) = (Vec::new(), true);
     for name in names {
@@ -578,7 +578,7 @@ fn gives_x_another_name(text: &str, fields: usize, first: Option<usize>) -> bool
         let names = bare_names(&names);
         let unique: HashSet<&String> = names.iter().collect();
         if unique.len() < names.len() {
-            // Units, such as `m m m m/s m/s m/s`, repeat.
+            // Names of columns do not repeat, but units do, such as `m m m m/s m/s m/s`.
             return false;
         }
         let is_other = |name: &String| names_other_column(name) || is_other_component(name);
@@ -588,7 +588,7 @@ fn gives_x_another_name(text: &str, fields: usize, first: Option<usize>) -> bool
             _ => None,
         });
         let others = names.iter().take_while(|name| is_other(name)).count();
-        // A sentence rarely names several quantities.
+        // A sentence rarely names three quantities, so a text that does is a list of columns.
         let is_list = || {
             names.windows(3).any(are_components)
                 || names.iter().filter(|name| is_other(name)).count() >= 3

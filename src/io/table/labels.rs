@@ -39,7 +39,7 @@ impl Texts {
         if all.len() > MOST_TEXTS {
             return None;
         }
-        // Sorts the texts, because their numbers depend on the order in which threads found them.
+        // Sort the texts, because their numbers depend on the order in which threads found them.
         let mut texts: Vec<_> = all.into_iter().collect();
         texts.sort();
         let mut places = vec![0; texts.len()];

@@ -180,7 +180,8 @@ impl TextTable {
         let source = InputBytes::from(bytes);
         let labels: Vec<_> = texts.iter().map(|_| Texts::default()).collect();
         let mut times: Vec<_> = attributes.iter().filter(|a| Times::are_in(a)).collect();
-        // A table with a known number of rows is one frame. A condition on a time selects frames.
+        // Do not look for several frames if the header gives the number of rows, because the table
+        // is then one frame, or if a condition on the time selects a frame.
         if table.count.is_some() || times.iter().any(|time| wanted.test(&time.name)) {
             times.clear();
         }

@@ -60,7 +60,7 @@ impl Times {
         if number.is_nan() || self.are_too_many {
             return;
         }
-        // The sum with 0 makes -0 equal to 0.
+        // Adding 0 turns -0 into 0.
         *self.rows.entry((number + 0.0).to_bits()).or_default() += rows;
         self.are_too_many = self.rows.len() > MOST_FRAMES;
     }

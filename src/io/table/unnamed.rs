@@ -42,7 +42,7 @@ impl UnnamedColumns {
         let between_blanks = LineFields::new(row, Separator::Blanks, 0).count();
         let found = |first: fn(Syntax, &[&[u8]]) -> Option<usize>| {
             all.iter().find_map(|(syntax, fields)| {
-                // Tries tabs as separators only if a cell is empty or contains blanks.
+                // Try tabs as separators only if a cell is empty or contains blanks.
                 if syntax.separator == Separator::Byte(b'\t') && fields.len() == between_blanks {
                     return None;
                 }
@@ -318,7 +318,8 @@ impl Sample {
         let [first, rest @ ..] = &self.columns[..] else { return false };
         let are_real = match first.is_unsigned() {
             true => rest.iter().take(3).all(SampledColumn::has_reals),
-            // In a lattice, the particles of a line have the same y and z.
+            // In a lattice, particles on a line along x have constant y and z. Require columns that
+            // vary, so that the x of these particles is not taken for a row number.
             false => (1..4).all(|column| self.is_real(0, column) && self.columns[column].varies()),
         };
         rest.len() >= 3 && self.rows > 2 && are_real && self.is_identifier(0)

@@ -78,8 +78,8 @@ impl FileTail {
         Self {
             at,
             values: Vec::new(),
-            // Token 0 belongs to the root. Other elements need a token above 0, because a negative
-            // sign marks properties.
+            // In `paths`, a negated token marks a property. 0 cannot be negated, so the root has
+            // token 0 and all other elements have greater tokens.
             tokens: vec![String::new()],
             fields: Vec::new(),
             field_sets: Vec::new(),
@@ -113,8 +113,8 @@ impl FileTail {
         let times = self.end();
         self.put(&[1, 0f64.to_bits()]);
         let at = self.end();
-        // The offset to each part precedes the part. Each offset is 8, because the parts are
-        // adjacent.
+        // An offset to the times precedes the times, and an offset to the values precedes the
+        // values. Both offsets are 8, because each offset is directly followed by its target.
         self.put(&[8, UsdValue::at(DOUBLE_VECTOR, times).0, 8, 1, value.0]);
         UsdValue::at(TIME_SAMPLES, at)
     }

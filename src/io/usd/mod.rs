@@ -135,7 +135,7 @@ pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 
 /// Number of passes that the writer makes over the vertices of a mesh, plus one pass over its
 /// triangles.
 pub fn readings(has_normals: bool, attributes: &[AttributeInfo]) -> usize {
-    // The counts of corners and the extent need no pass.
+    // `properties` also lists the numbers of corners and the extent, which need no pass.
     properties(has_normals, attributes).len() - 2
 }
 

@@ -25,8 +25,8 @@ pub fn stage(
     let active = list(
         clips.iter().enumerate().map(|(index, (time, _))| format!("({time}, {index})")).collect(),
     );
-    // The stage shows time 0 of a layer at the layer's time code. In `times`, each repeated time
-    // code makes the time in the layers jump back to 0.
+    // At the time code of a layer, the stage shows time 0 of this layer. Each later layer's time
+    // code occurs twice in `times`, which makes the time in the layers jump back to 0.
     let ends = clips.iter().skip(1).map(|(time, _)| Some(*time)).chain([None]);
     let times = clips.iter().zip(ends).flat_map(|((time, _), end)| {
         [Some(format!("({time}, 0)")), end.map(|end| format!("({end}, {})", end - time))]

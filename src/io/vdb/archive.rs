@@ -44,7 +44,7 @@ pub struct GridHead {
 pub fn header(id: [u32; 4], grids: usize) -> Vec<u8> {
     let mut out = MAGIC.to_le_bytes().to_vec();
     out.extend([VERSION, LIBRARY[0], LIBRARY[1]].map(u32::to_le_bytes).as_flattened());
-    // This byte says that the file stores the offsets of each grid.
+    // 1 means that the file stores the offsets of each grid.
     out.push(1);
     let [a, b, c, d] = id;
     let id = format!(

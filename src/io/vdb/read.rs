@@ -75,7 +75,7 @@ pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
         );
         return Err(ReadFault::Unsupported(what));
     }
-    // Skips the version of the library.
+    // Skip the version of the library.
     file.u64("the header")?;
     let has_offsets = file.take("the header", 1)?[0] != 0;
     file.take("the identifier", ID)?;
@@ -89,8 +89,8 @@ pub fn read_grids(bytes: ByteView) -> Result<Vec<GridInfo>, ReadFault> {
     for _ in 0..count {
         let name = text(&mut file, "the name of a grid")?;
         let tree = text(&mut file, "the type of a grid")?;
-        // The parent's name is not needed. An instance shares the parent's tree, but has its own
-        // metadata.
+        // Skip the name of the parent grid. A grid with a parent (an instance) shares the parent's
+        // tree, but has its own metadata.
         text(&mut file, "the parent of a grid")?;
         let descriptor_at = file.at();
         let [grid, _, end] = [
@@ -191,8 +191,8 @@ fn transform(file: &mut Cursor) -> Result<Transform, ReadFault> {
     let mut vector =
         || -> Result<[f64; 3], ReadFault> { Ok(numbers(3)?.try_into().expect("three were read")) };
     Ok(match &*kind {
-        // The position of index 0, and the scale factors. Edge lengths without signs follow, and
-        // are not needed.
+        // A map with a translation begins with the position of index 0 and the scale factors. The
+        // values that follow, such as the absolute edge lengths of a voxel, are not needed.
         "UniformScaleTranslateMap" | "ScaleTranslateMap" => {
             Transform { origin: Some(vector()?), size: Some(vector()?) }
         }

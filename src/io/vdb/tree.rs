@@ -41,7 +41,7 @@ impl TreeLeaf {
 
     /// The least and the greatest coordinates of the active voxels along each axis.
     pub fn bounds(&self) -> Option<[IVec3; 2]> {
-        // The active voxels, projected along x onto 8² bits, and then along y onto 8 bits.
+        // `yz` has a bit for each y and z of an active voxel, and `z` has a bit for each z.
         let yz = self.active.into_iter().fold(0, |all, word| all | word);
         let z = yz.to_le_bytes().into_iter().fold(0, |all, byte| all | byte);
         let low_x = self.active.iter().position(|&word| word != 0)?;
@@ -147,7 +147,7 @@ fn node(
 
     let mut child_mask = vec![0u64; slots / 64];
     let mut outside = vec![0u64; slots / 64];
-    // For each slot, whether its last voxel is inside.
+    // For each slot, whether its last voxel is inside the surface.
     let mut last = vec![false; slots];
     let (mut tiles, mut tiles_inside) = (0, 0);
     for slot in 0..slots {
@@ -167,7 +167,7 @@ fn node(
     }
     let mut bytes = Vec::new();
     bytes.extend(child_mask.iter().flat_map(|word| word.to_le_bytes()));
-    // The mask of active tiles is empty.
+    // No tile is active, so the mask of active tiles is empty.
     bytes.resize(bytes.len() + slots / 8, 0);
     put_sides(&mut bytes, kind, [tiles_inside, tiles], &outside);
     kind.put_no_values(&mut bytes, zip);

@@ -228,8 +228,8 @@ fn refuse_little_endian(bytes: ByteView, points: &VtkArray) -> Result<(), ReadFa
         }
         _ => return Ok(()),
     };
-    // A few particles may have flown far away, or may have a coordinate that differs from 0 only by
-    // a rounding error.
+    // Some positions of a valid file are implausible: a few particles may have flown far away, or a
+    // coordinate may differ from 0 only by a rounding error.
     let far = |numbers: &[f64]| numbers.iter().filter(|number| !is_length(**number)).count();
     if big.len() >= FEWEST && far(&big) > big.len() / 4 && far(&little) < big.len() / 8 {
         let what = "the positions look little-endian, but a binary legacy .vtk must be big-endian; \

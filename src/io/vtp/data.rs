@@ -591,7 +591,7 @@ impl StoredArray<'_> {
             let length = integer(Scalar::U64, *endian, &bytes.read(at as usize..wide as usize)?);
             let length = length.and_then(|length| u64::try_from(length).ok());
             let wide_end = length.and_then(|length| wide.checked_add(length));
-            // Zeros after the array may be padding.
+            // If only zeros follow the array, they may be padding, and the length may have 4 bytes.
             let padded = || bytes.read(end as usize..have.min(end + 4) as usize);
             if let Some(wide_end) = wide_end.filter(|end| *end <= have)
                 && padded()?.iter().any(|&byte| byte != 0)

@@ -316,7 +316,7 @@ impl<'a> VtpLayout<'a> {
         if components == 0 && section == Section::PointData {
             return Ok(());
         }
-        // The time is a single number.
+        // Skip field data with several numbers, because the time is a single number.
         let tuples = tag.value("NumberOfTuples")?;
         let has_several = components != 1 || tuples.is_some_and(|tuples| tuples.trim() != "1");
         if section == Section::FieldData && has_several {

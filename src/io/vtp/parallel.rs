@@ -243,7 +243,7 @@ struct PieceFile {
 impl List {
     fn parse(bytes: &[u8]) -> Result<Self, ReadFault> {
         let (mut files, mut format) = (Vec::new(), None);
-        // The names of the element and of the elements around it.
+        // The names of the current element and of the elements that contain it.
         let mut names: Vec<Option<String>> = Vec::new();
         each_tag(bytes, |tag, depth| {
             names.truncate(depth);
@@ -256,7 +256,7 @@ impl List {
                         source.ok_or_else(|| malformed(tag.at, "a piece has no Source"))?;
                     files.push(PieceFile { source, name: None });
                 }
-                // An empty block names no file.
+                // A DataSet without a file is an empty block.
                 ("DataSet", Some(Format { blocks: true, .. })) => {
                     if let Some(source) = tag.value("file")?.filter(|file| !file.is_empty()) {
                         let name = names.iter().rev().flatten().next().cloned();

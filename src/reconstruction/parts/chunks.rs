@@ -113,7 +113,7 @@ impl PartInput {
 
     /// Whether the opened pieces have the planned numbers of particles.
     pub(super) fn matches(&self, opened: &Pieces) -> bool {
-        // Without a limit, there is one chunk per piece.
+        // `usize::MAX` does not limit the size of a chunk, so there is one chunk per piece.
         let found = opened.chunks(usize::MAX);
         let expected = self.pieces.iter().zip(&self.counts);
         found.into_iter().eq(expected.map(|(&piece, &count)| PieceChunk { piece, count }))

@@ -237,7 +237,7 @@ fn cuts(work: &[(MortonKey, u64)], parts: u32) -> Vec<MortonKey> {
     let all: u128 = work.iter().map(|&(_, work)| u128::from(work)).sum();
     let (mut cuts, mut before) = (vec![Stretch::ALL.first], 0);
     for &(block, work) in work {
-        // A block belongs to the part that contains the middle of its work.
+        // A block belongs to the part that contains the middle of the block's work.
         let middle = 2 * before + u128::from(work);
         while (cuts.len() as u128) < u128::from(parts)
             && middle * u128::from(parts) >= 2 * all * cuts.len() as u128

@@ -143,7 +143,8 @@ fn a_ply_whose_faces_have_no_area_contains_particles() {
             assert_eq!((has_faces, file.particles.len()), (false, 3), "{encoding} {faces:?}");
             assert_eq!(file.only_lines, only_lines, "{encoding} {faces:?}");
         }
-        // The second mesh begins with more vertices than are read at first.
+        // With 40,000 points, the reader must find the triangle behind more one-point faces than it
+        // reads at first.
         for points in [2, 40_000] {
             let faces = [vec![point; points], vec![triangle]].concat();
             let (has_faces, file) = read(&ply_with_faces(encoding, &faces));

@@ -170,7 +170,7 @@ fn a_splishsplash_vtk_frame_matches_the_values_of_its_simulation() {
     let mut ids = attribute(&file, "id");
     ids.sort_by(f32::total_cmp);
     assert!(ids.windows(2).all(|pair| pair[0] < pair[1]), "an id occurs twice");
-    // Because of a bug, the exporter also writes the density under the name "pressure".
+    // Because of a bug, SPlisHSPlasH's exporter also writes the density under the name "pressure".
     assert_eq!(attribute(&file, "pressure"), attribute(&file, "density"));
     assert_eq!(file.particles.attributes().len(), 4);
 }
@@ -256,7 +256,8 @@ fn points_whose_vertices_are_all_ghosts_are_omitted() {
                 read(&[0., 0., 1., 2., 2.], "vtkGhostType", &[1., 0., 1., 1., 1.]),
                 [0, 3, 4, 5]
             );
-            // Flags may also be SCALARS. Only single integers are flags, not floats or pairs.
+            // SCALARS are also read as flags if they are single integers, but not if they are
+            // floats or pairs.
             for (kind, components, expected) in
                 [("int", 1, &[1, 3, 4][..]), ("float", 1, &all), ("int", 2, &all)]
             {
@@ -346,7 +347,7 @@ fn little_endian_positions_in_a_binary_vtk_are_refused() {
             let what = fault.to_string();
             assert!(matches!(fault, ReadFault::Unsupported(_)), "{what}");
             assert!(what.contains("look little-endian"), "{what}");
-            // Numbers that are invalid in both orders are not refused.
+            // Numbers that are invalid in both byte orders are not refused.
             let far: Vec<f64> = values.iter().map(|x| 1e20 * (x + 0.3)).collect();
             assert!(read(&file(&[f64::NAN; 60]).1).is_ok() && read(&file(&far).1).is_ok());
         }

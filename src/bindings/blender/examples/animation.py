@@ -23,7 +23,7 @@ scene = bpy.context.scene
 scene.render.fps = 25
 scene.frame_start, scene.frame_end = 1, frames
 
-# The live surface, with motion blur for a simulation at 25 frames per second.
+# Add the live surface. Its motion blur assumes that the simulation has 25 frames per second.
 bpy.ops.meniscus.add_files(filepath=particles)
 water = bpy.context.object
 settings = water.data.meniscus

@@ -27,7 +27,7 @@ class Order:
     #: names.
     stage: str | None
     fps: float
-    #: No values are set for packed frames, because their sampling was chosen when they were packed.
+    #: All fields are None for packed frames, which were sampled before they were packed.
     sampling: Sampling
     filters: Filters
     #: The solids' files, with {} for the frame number; `solid_offset` is the distance between

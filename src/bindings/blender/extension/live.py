@@ -53,7 +53,7 @@ class _State:
         self.listings = Listings()
         self.makers: dict[int, Maker] = {}
         self.statuses: dict[int, Status] = {}
-        #: The frame and the request's name of each surface that the opened .blend file contains.
+        #: For each surface that the opened .blend file contains: its frame and its request's name.
         self.saved: dict[int, tuple[int, str]] = {}
         self.renders = False
 
@@ -208,7 +208,7 @@ def update(mesh: bpy.types.Mesh, scene: bpy.types.Scene, depsgraph: bpy.types.De
     except FAULTS as error:
         status.error = str(error) or "Out of memory"
         if not mesh.is_editmode and _state.saved.get(mesh.session_uid) == (scene.frame_current, mesh.get(MADE)):
-            # If the mesh were cleared, saving the .blend file again would lose the surface.
+            # If the mesh were cleared, saving the .blend file again would lose the saved surface.
             status.notes += ("Showing the surface that was saved in the .blend file",)
         else:
             if mesh.vertices and not mesh.is_editmode:

@@ -106,7 +106,7 @@ class AddFiles(bpy.types.Operator, ImportHelper):
     bl_label = "Fluid Surface from Files"
     bl_options = {"REGISTER", "UNDO"}
 
-    # Blender truncates the filter after 255 characters.
+    # Blender truncates the filter after 255 characters, which are enough for all extensions.
     filter_glob: StringProperty(
         default=";".join(f"*{extension}" for extension in EXTENSIONS),
         options={"HIDDEN"},
@@ -181,7 +181,7 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
     if settings.solids is not None:
         numbers = (number for number, _ in frames)
         files = solids.exported(settings, offset, scene, numbers, Path(folder, f"{name}_solids"))
-    # The library derives the stage's name from the meshes' names, without the number.
+    # The library names the USD stage after the meshes, without the frame number.
     are_volumes = settings.converted == "VOLUMES"
     return Order(
         inputs=inputs,

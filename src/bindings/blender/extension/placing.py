@@ -27,5 +27,6 @@ def place(context: bpy.types.Context, added: bpy.types.Object, of: bpy.types.Obj
     if of.animation_data is not None:
         with context.temp_override(object=of, active_object=of, selected_editable_objects=[added]):
             bpy.ops.object.make_links_data(type="ANIMATION")
-        # The operator also copies the animation of a mesh, which sets the live surface's settings.
+        # The operator also copies the animation of the mesh `of.data`, which sets the options of
+        # the live surface. The added mesh must not have this animation.
         added.data.animation_data_clear()

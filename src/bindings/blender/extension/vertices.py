@@ -33,7 +33,7 @@ def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tu
     """
     evaluated = source.evaluated_get(depsgraph)
     try:
-        # Geometry nodes can make a point cloud from any object.
+        # Evaluate the geometry, because geometry nodes can turn any object into a point cloud.
         geometry = evaluated.evaluated_geometry()
     except TypeError:
         # Do not fall back on the dependency graph of the other mode (viewport or render): during a

@@ -82,7 +82,7 @@ def test_packed_frames_ignore_settings_of_the_sampling(sequence: Path) -> None:
     assert len(made.triangles) > 0 and made.spacing == 1.0
     other = FromFile(str(packed), Sampling(spacing=7.0, cell=0.3))
     assert other.key == request_of(packed).source.key
-    # A conversion uses the same settings.
+    # Conversions read `used_sampling`, which also ignores the sampling of a packed frame.
     assert other.used_sampling == Sampling() and request_of(sequence / "ball_002.npy").source.used_sampling.spacing == 1.0
 
 

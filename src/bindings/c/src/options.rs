@@ -397,7 +397,7 @@ pub unsafe extern "C" fn meniscus_options_set(
         // SAFETY: the caller upholds this function's contract.
         let (options, key) = unsafe { (of(options)?, self::key(key)?) };
         if key == "scratch" {
-            // A path need not be UTF-8.
+            // Read the scratch folder as a path, because a path need not be UTF-8.
             // SAFETY: the caller upholds this function's contract.
             options.machine.scratch = unsafe { optional_path(value, key) }?;
             return Ok(());

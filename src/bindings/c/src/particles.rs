@@ -284,7 +284,8 @@ impl CallerParticles {
         let mut size = 0;
         for index in 0..count {
             let what = format!("particles.attributes[{index}]");
-            // SAFETY: the caller guarantees the array, and all previous structures have this size.
+            // SAFETY: the caller guarantees that the array is valid, and all previous elements have
+            // `size` bytes.
             let raw = unsafe { read(at.byte_add(index * size), &what) }?;
             if index > 0 && raw.size != size {
                 let sizes = format!("is {}, but {size} in previous attributes", raw.size);

@@ -262,7 +262,8 @@ static void a_sampled_frame_gives_several_surfaces(const char *folder) {
   CHECK(bytes > 100);
   CHECK(meniscus_frame_pack(frame, path, 0, &bytes) == MENISCUS_STATUS_REQUEST);
   meniscus_frame_free(frame);
-  // With this indicator, the frame computes its warnings from all cells, on temporary threads.
+  // With the indicator `symmetry`, the library computes a frame's warnings from all cells, on
+  // temporary threads.
   MeniscusOptions *symmetry = OPTIONS("spacing", "0.05", "indicator", "symmetry");
   OK(meniscus_sample(&particles, symmetry, &frame));
   meniscus_options_free(symmetry);

@@ -50,7 +50,7 @@ static int test(int count, char **arguments) {
   for (int i = 0; i < COUNT; i++) {
     structures[i].velocity[1] = (float)i;
     for (int axis = 0; axis < 3; axis++) {
-      // The additional digits are lost if a double is rounded to float.
+      // Add digits that fit into a double but not into a float, so that rounding is noticed.
       structures[i].at[axis] = wide[i][axis] = positions[i][axis] + 1e-9 * i;
     }
   }

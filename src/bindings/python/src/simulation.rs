@@ -299,7 +299,7 @@ impl Simulation {
         work.run(py, on_event, || {
             let act = || {
                 act(&files, &|event| {
-                    // This cannot fail: the caller receives events until this work has ended.
+                    // Sending cannot fail: the caller receives events until this work has ended.
                     let _ = sender.send(Message::Event(Event::of(&event)));
                 })
             };

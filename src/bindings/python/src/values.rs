@@ -107,7 +107,7 @@ impl Source for Keyword<'_, '_> {
     }
 
     fn switch(&self) -> PyResult<bool> {
-        // This also accepts the type numpy.bool.
+        // `extract::<bool>` also accepts a numpy.bool.
         let is_bool = self.value.extract::<bool>();
         is_bool.map_err(|_| self.type_error("True or False"))
     }

@@ -70,7 +70,7 @@ impl<N: Send + 'static> Work<N> {
         let ended = thread::scope(|scope| {
             let act = move || {
                 let ended = catch_unwind(AssertUnwindSafe(act));
-                // This cannot fail: the receiver exists until the caller has received `Done`.
+                // Sending cannot fail: the receiver exists until the caller has received `Done`.
                 let _ = sender.send(Message::Done);
                 ended
             };
@@ -138,8 +138,8 @@ impl Work<Progress> {
         }
         let sender = self.sender.clone();
         request.progress(move |progress| {
-            // Ignore failures: writing the surface later also reports progress, and by then the
-            // receiver no longer exists.
+            // Ignore failures to send: writing the surface later also reports progress, and by then
+            // the receiver no longer exists.
             let _ = sender.send(Message::Event(progress));
         })
     }

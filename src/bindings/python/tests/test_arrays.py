@@ -280,7 +280,7 @@ def test_particles_are_selected_by_their_attributes(ball: Any) -> None:
     assert same(meniscus.reconstruct(both, where="kind!=16777217 and height<50", **common), alone)
     assert same(meniscus.reconstruct(both, where=["kind<2", "x<50"], **common), alone)
     assert same(meniscus.Frame(both, where="kind=1", **common).surface(), alone)
-    # The value must be read exactly: rounded to float32, it would be 2^24.
+    # The kind 2^24 + 1 must be compared exactly. Rounded to float32, it would be 2^24, and match.
     with pytest.raises(meniscus.Error):
         meniscus.reconstruct(both, where="kind=16777216", **common)
     with pytest.raises(meniscus.Error, match="heat"):

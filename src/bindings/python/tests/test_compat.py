@@ -76,7 +76,7 @@ def test_the_call_of_genesis_needs_only_a_different_import(positions: Any, dtype
     for mine, wanted in pairs:
         assert mine.dtype == wanted.dtype and mine.shape[1] == wanted.shape[1] and mine.flags.writeable
     assert len(data.point_attributes["normals"]) == data.nvertices and data.ncells == len(data.mesh.triangles)
-    # Both libraries must place the upper bounds of the same fluid within one radius.
+    # The upper bounds of the two libraries' meshes must differ by less than one radius.
     assert np.abs(data.mesh.vertices.max(axis=0) - other.mesh.vertices.max(axis=0)).max() < RADIUS
     assert reconstruction.grid.cell_size == pytest.approx(0.8 * RADIUS)
     exact = meniscus.reconstruct(positions.astype(dtype), spacing=2 * RADIUS, cell_size=0.8 * RADIUS, normals=True)

@@ -137,7 +137,7 @@ def test_every_option_of_simulations_is_a_keyword(options: set[str]) -> None:
     assert keywords(meniscus.Simulation) == wanted
     assert "output" in inspect.signature(meniscus.Simulation).parameters
     assert keywords(meniscus.Mesh.write) == {"overwrite", "preview"} <= options
-    # `attributes` names attributes, like the option --attributes of the program.
+    # The keyword `attributes` takes names of attributes, as the program's option --attributes does.
     assert "attributes" in wanted
 
 

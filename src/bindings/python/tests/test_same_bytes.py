@@ -74,8 +74,7 @@ def test_keywords_have_the_same_effect_as_the_programs_options(tmp_path: Path, p
     program("reconstruct", tmp_path / "in.npy", "-o", tmp_path / "theirs.ply", "-q", *given)
     theirs = (tmp_path / "theirs.ply").read_bytes()
     assert written(tmp_path, "ours.ply", meniscus.reconstruct(ball, **options)) == theirs
-    # A keyword that describes the surface changes the mesh. A keyword that selects resources does
-    # not.
+    # The options must change the mesh, unless they select resources or do not affect this ball.
     plain = written(tmp_path, "plain.ply", meniscus.reconstruct(ball, spacing=1.0))
     only_how = set(options) <= {"backend", "spacing", "skip_invalid", "iso"} or options.get("memory")
     assert (plain != theirs) or only_how

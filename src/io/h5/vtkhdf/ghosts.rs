@@ -171,8 +171,8 @@ impl FirstCells {
         if sum(&before)? == self.cell {
             return Ok(first);
         }
-        // Some steps share cells or have none. Counts only the partitions that contain the cells
-        // before this frame.
+        // Steps may share cells or have none. Count only the partitions whose cells are before this
+        // frame.
         let mut cells = 0;
         let is_needed = |own: &&u64| {
             let needed = cells < self.cell;

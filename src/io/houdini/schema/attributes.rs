@@ -41,7 +41,7 @@ impl SchemaReader<'_, '_, '_> {
             let attribute = match &*kind {
                 "numeric" => reader.numeric(name, points)?,
                 "string" => reader.strings(name, points)?,
-                // Skips lists of variable length, and dictionaries.
+                // Skip lists of variable length and dictionaries.
                 _ => return reader.skip_value(),
             };
             attributes.extend(attribute);
@@ -98,7 +98,7 @@ impl SchemaReader<'_, '_, '_> {
         loop {
             match self.json.next()? {
                 JsonEvent::End => break,
-                // Keeps one text more than the maximum, so that the length of the list shows that
+                // Keep one text more than the maximum, so that the length of the list shows that
                 // there are too many.
                 JsonEvent::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
                 JsonEvent::Text(_) => {}

@@ -200,7 +200,7 @@ impl SchemaReader<'_, '_, '_> {
         match key {
             "pointcount" => head.points = Some(self.count("pointcount")?),
             "info" => {
-                // Reads only the time, and skips all other values.
+                // Read only the time, and skip all other values.
                 let first = self.json.next()?;
                 if matches!(first, JsonEvent::List | JsonEvent::Map) {
                     self.entries_within(|reader, key| match (key, reader.json.next()?) {

@@ -22,13 +22,13 @@ class Arrays:
     attributes: dict[str, npt.NDArray[np.float32] | npt.NDArray[np.int32]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     spacing: float | None = None
-    #: The axis that points up in the particles.
+    #: The axis that points up in the coordinates of the particles.
     particles_up: str | None = None
 
     @classmethod
     def of(cls, mesh: meniscus.Mesh, particles_up: str | None = None) -> Arrays:
         """Converts a mesh of the library to arrays that do not keep the mesh alive."""
-        # Blender stores positions as float32, which also halves the memory.
+        # Convert positions to float32, as Blender stores them, to halve their memory.
         with np.errstate(over="ignore", invalid="ignore"):
             vertices = mesh.vertices.astype(np.float32)
             # The sum is finite only if all numbers are finite, and is faster than a test of each
@@ -38,10 +38,9 @@ class Arrays:
             raise OutOfRange("The surface has coordinates that are too large for Blender, which uses single precision")
         return cls(
             vertices=vertices,
-            # uint32 and int32 agree on all indices: a Blender mesh has fewer than 2^31 vertices.
+            # As int32, all indices stay the same: a Blender mesh has fewer than 2^31 vertices.
             triangles=mesh.triangles.view(np.int32),
-            # Blender's integers are signed: values from 2^31 on become negative, with the same
-            # bits.
+            # Blender's integers are signed: values from 2^31 on become negative, with equal bits.
             attributes={
                 name: values.view(np.int32) if values.dtype == np.uint32 else values for name, values in mesh.attributes.items()
             },

@@ -551,7 +551,7 @@ def renders_of_vertices_use_fine_cells() -> None:
     bpy.ops.render.render(write_still=True)
     bpy.app.handlers.render_post.clear()
     assert drawn[0] > 2 * coarse[1] and sizes(shown.data) == coarse, (drawn, coarse)
-    # An animation also renders every frame in fine cells.
+    # Rendering an animation also uses the fine cells of renders in every frame.
     source.keyframe_insert("location", frame=1)
     source.location.x = 4.0
     source.keyframe_insert("location", frame=11)

@@ -43,7 +43,7 @@ def file_error(message: str, errno: int | None, filename: str | os.PathLike[str]
     return error
 
 
-#: The class of a FileError for each class of system errors.
+#: For each class of OSError, the FileError class that also inherits from it.
 _classes: dict[type[OSError], type[FileError]] = {OSError: FileError}
 
 

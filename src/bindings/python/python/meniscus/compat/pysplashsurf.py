@@ -32,8 +32,8 @@ __all__ = [
 _Array: TypeAlias = npt.NDArray[Any]
 _Corner: TypeAlias = Sequence[float] | npt.NDArray[Any] | None
 
-# Smoothing width in spacings per smoothing length in particle radii, and the limits of the width.
-# The 2 radii that splashsurf recommends correspond to the library's default of 1.6 spacings.
+# The smoothing width in spacings is 0.8 times splashsurf's smoothing length in particle radii,
+# within limits. The 2 radii that splashsurf recommends give the library's default of 1.6 spacings.
 _SPACINGS_A_RADIUS = 0.8
 _NARROWEST, _WIDEST = 0.8, 4.0
 
