@@ -4,7 +4,7 @@
 // number of work groups that write tiles.
 
 struct BasesPush {
-    // Blocks of the batch.
+    // The number of blocks in the batch.
     blocks: u32,
     // The number of vertices for which there is memory.
     room: u32,

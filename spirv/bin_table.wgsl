@@ -5,7 +5,7 @@ struct BinSlot {
     // slot: `owner` is 1 plus the particle's number in the chunk, and the slot belongs to the bin
     // of that particle.
     owner: atomic<u32>,
-    // Particles in the bin.
+    // The number of particles in the bin.
     count: atomic<u32>,
     key: vec2<u32>,
 }

@@ -1,7 +1,7 @@
 // Blends the shares of drops with the shares of sheets, weighted by the certainty of the sheets.
 
 struct BlendPush {
-    // Words of the fields.
+    // The number of words in each field.
     words: u32,
 }
 

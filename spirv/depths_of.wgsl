@@ -2,7 +2,7 @@
 // Each surface is extrapolated to width 0 from the depths of two widths.
 
 struct DepthsOfPush {
-    // Words of the field.
+    // The number of words in each field.
     words: u32,
     // Converts samples to fractions of the plateau: sample * scale / 16384 is the fraction in
     // 32768ths.

@@ -5,7 +5,7 @@
 struct EmitPush {
     // The planes of the mirrors, in halves of a cell.
     mirror_lo: vec3<i32>,
-    // Blocks of the batch.
+    // The number of blocks in the batch.
     blocks: u32,
     mirror_hi: vec3<i32>,
     // Whether to also write the decrease of the field along each axis, for normals.

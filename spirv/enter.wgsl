@@ -4,7 +4,7 @@
 // which the shader `place` wrote, are equal.
 
 struct EnterPush {
-    // Particles of the chunk.
+    // The number of particles in the chunk.
     count: u32,
     // Number of slots minus 1.
     mask: u32,

@@ -1,7 +1,7 @@
 // Computes the greater of two fields, sample by sample (section 6.2 of the paper).
 
 struct GreaterPush {
-    // Words of the field.
+    // The number of words in each field.
     words: u32,
 }
 

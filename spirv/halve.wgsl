@@ -48,7 +48,7 @@ fn wide_sample(block: Block, wide: vec3<i32>) -> u32 {
 @compute @workgroup_size(256)
 fn halve(@builtin(global_invocation_id) id: vec3<u32>) {
     let block = blocks[id.y];
-    // Rows of the block begin at an even cell.
+    // Blocks of finer cells begin at an even x, because their rows consist of whole words.
     let corner = ((block.lo + 2) >> vec3(1u)) & vec3(-BIN);
     let first = 2u * id.x;
     let bin = u32(BIN);

@@ -1,8 +1,8 @@
 //! with ramp
-// Reduces clouds in the bulk, so that the bulk does not hide the feet of sheets.
+// Reduces clouds in the bulk, so that the bulk does not hide sheets where they meet the bulk.
 
 struct LoosePush {
-    // Words of the fields.
+    // The number of words in each field.
     words: u32,
     // Converts a smoothed sample to a fraction of the plateau: sample * scale / 16384 is the
     // fraction in 32768ths.

@@ -2,9 +2,9 @@
 // 6.2 of the paper).
 
 struct LostPush {
-    // Words of the field.
+    // The number of words in each field.
     words: u32,
-    // The greatest sample that is outside.
+    // The greatest sample that counts as outside the fluid.
     threshold: u32,
 }
 

@@ -3,7 +3,7 @@
 // other cells. Small distances are reduced where the fine surface agrees with the calm surface.
 
 struct OutlyingPush {
-    // Words of the field.
+    // The number of words in each field.
     words: u32,
     // The minimum sample of a cell that contains a particle's centre.
     least: u32,

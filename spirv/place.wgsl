@@ -3,11 +3,11 @@
 // bin: one thread per particle.
 
 struct PlacePush {
-    // Words before the chunk's first coordinate.
+    // The number of words in the buffer before the chunk's first coordinate.
     first: u32,
-    // Particles of the chunk.
+    // The number of particles in the chunk.
     count: u32,
-    // Words of a coordinate: 1 for f32, 2 for f64.
+    // The number of words in a coordinate: 1 for f32, 2 for f64.
     width: u32,
     // The chunk's number.
     chunk: u32,
@@ -17,7 +17,7 @@ struct Census {
     not_finite: atomic<u32>,
     too_far: atomic<u32>,
     outside: atomic<u32>,
-    // `count` minus the number of the first invalid particle; 0 if there is none.
+    // `count` minus the index of the chunk's first invalid particle; 0 if there is none.
     invalid: atomic<u32>,
     // Whether the table of bins was too small; used only in the census of the first chunk.
     overflow: atomic<u32>,

@@ -23,7 +23,7 @@ struct ProbeResult {
 }
 
 struct ProbePush {
-    // Samples of the field above this threshold are inside.
+    // Samples of the field above this threshold are inside the fluid.
     threshold: u32,
     // Particles stand out where the sample in `outlying` exceeds this number.
     begin: u32,

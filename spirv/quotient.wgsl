@@ -1,7 +1,7 @@
 // Divides one field by another, such as clouds by the smoothed clouds.
 
 struct QuotientPush {
-    // Words of the field.
+    // The number of words in each field.
     words: u32,
     // Fraction bits of the quotient.
     bits: u32,

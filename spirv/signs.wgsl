@@ -7,7 +7,7 @@ struct SignsPush {
     // The lowest cell within the walls, and the highest; all ghost points beyond the walls are
     // outside.
     walls_lo: vec3<i32>,
-    // The greatest sample that is outside.
+    // The greatest sample that counts as outside the fluid.
     threshold: u32,
     walls_hi: vec3<i32>,
 }

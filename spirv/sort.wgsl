@@ -2,7 +2,7 @@
 // are sorted together): one thread per particle.
 
 struct SortPush {
-    // Particles of the chunk.
+    // The number of particles in the chunk.
     count: u32,
 }
 

@@ -1,7 +1,7 @@
 // The surfaces of all blocks, in Morton order. Uses `blocks` and `tiles` of the shader.
 
 struct Block {
-    // The block's coordinates, in blocks.
+    // The block's coordinates, in units of blocks.
     coord: vec3<i32>,
     first_tile: u32,
     tiles: u32,

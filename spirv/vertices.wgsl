@@ -9,7 +9,7 @@ struct VerticesPush {
     // The number of the first vertex to write, and the number of words in the buffer before it.
     first_vertex: u32,
     first_word: u32,
-    // The greatest sample that is outside.
+    // The greatest sample that counts as outside the fluid.
     threshold: u32,
 }
 

@@ -48,7 +48,8 @@ impl Backend {
         self.0.device()
     }
 
-    // Public for tests that monitor a device; the trait is public only in `internals`.
+    // Public because tests pass an executor that monitors a device. `Executor` itself is public
+    // only in `internals`.
     #[doc(hidden)]
     pub fn of(executor: impl Executor + 'static) -> Self {
         Self(Arc::new(executor))

@@ -154,7 +154,8 @@ impl Surfaces<'_> {
     fn is_at_solid(&self, region: CellBox) -> bool {
         let Filters::Distances(distances) = &self.recipe.filters else { return false };
         let wide = distances.wide_cells(self.normals.cells(region));
-        // The fluid ends at the distance `offset` from the solid.
+        // The fluid ends at the distance `offset` from the solid, so the solid affects cells that
+        // far away.
         let facts = &self.sampled.facts;
         let is_near = |solid: &&Solid| {
             let offset = solid.offset().abs() * facts.spacing_cells_or_one();

@@ -340,8 +340,8 @@ impl BinPlan {
         let components = components(particles, carried);
         let slots = Slots::new(census.binned, &components);
         let (binned, mut next) = (census.binned, first.clone());
-        // For each range and each of its bins, `cursors` has the next free slot. For a bin without
-        // particles, it has the end of all slots.
+        // `cursors` has the next free slot of each bin in each range. For a bin without particles,
+        // it has the end of all slots.
         let cursors: Vec<Vec<usize>> = ranges
             .iter()
             .map(|RangePlan { table, ranks, .. }| {
@@ -394,7 +394,8 @@ impl BinPlan {
                 });
             }
             // If the particles have changed, the second reading can find a cube of bins that the
-            // first did not. This cube has counters in the table, but no cursors.
+            // first reading did not. This cube has counters in the table, but no cursors, so the
+            // lengths differ.
             cursors == ends && table.len() == ends.len()
         });
         if as_counted.reduce(|| true, |one, other| one & other) {
@@ -506,8 +507,8 @@ impl Counter {
         let mut kept = particles.len() <= self.room.places;
         let mut places = empty_in_huge_pages(if kept { range.len() } else { 0 });
         let mut placed = Vec::with_capacity(CHUNK);
-        // A thread that finds too many bins also stops the other threads, because the whole count
-        // then fails.
+        // A thread that finds too many bins makes the whole count fail, so it also stops the other
+        // threads.
         let _ = self.placer.for_each_chunk(particles, range, |first, positions, addresses| {
             visit(positions);
             table.place_all(addresses, &mut latest, &mut placed);
@@ -562,8 +563,8 @@ mod tests {
         let grid = Grid::new(DVec3::ZERO, 1.0).unwrap();
         let walls = Domain::new(&grid, DVec3::ZERO, DVec3::splat(1000.0)).unwrap();
         let kept = CountingRoom { places: usize::MAX, ..CountingRoom::BINS };
-        // `bins` is the number of bins along each axis. In the second case, the ranks of the bins
-        // do not fit into a kept place.
+        // `bins` is the number of bins along each axis. With 25, the ranks of the bins are too
+        // large for kept places.
         for bins in [5, 25] {
             let coordinate =
                 |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;

@@ -152,7 +152,8 @@ impl Halving {
         let corner = bin * BIN;
         let mut size = from.size().as_usizevec3();
         let mut halved: Vec<u32> = fine.samples().iter().map(|&sample| sample.into()).collect();
-        // The taps along x are not contiguous, so x comes last, when the fewest cells are left.
+        // Halving along x is slow, because its samples are not contiguous. Therefore x comes last,
+        // when the fewest samples are left.
         for axis in [2, 1, 0] {
             let step = [1, size.x, size.x * size.y][axis];
             let planes = size[axis];
@@ -194,7 +195,7 @@ impl DifField {
         factor: f64,
         scratch: Option<&Path>,
     ) -> Self {
-        // A mirror in the middle of a finer cell moves content by one cell.
+        // A mirror plane in the middle of a finer cell moves content by one cell.
         let reach = self.ghost_layer() + i32::from(mirror.is_some());
         let touched = |cells: CellBox| CellBox { lo: (cells.lo - 1) >> 1, hi: (cells.hi + 2) >> 1 };
         let mut keys: Vec<MortonKey> = self
@@ -356,7 +357,7 @@ mod tests {
             let requests = Arc::new(AtomicUsize::new(0));
             let source =
                 CountingPages { field: Arc::clone(&fine), requests: Arc::clone(&requests) };
-            // No page fits into a cache of this size.
+            // The cache has 1 byte, so no page fits into it.
             let paged_field = DifField::paged(HALVED, fine.infos().to_vec(), Box::new(source), 1);
             let wide = Arc::new(Arc::new(paged_field).halved(None, 0.5, scratch));
             let first_requests = requests.swap(0, Ordering::Relaxed);

@@ -71,8 +71,8 @@ impl<'a> WithImages<'a> {
     ) -> Result<Self, BinError> {
         let Some(periodic) = periodic else { return Ok(Self { particles, images: None }) };
         let placer = Placer { grid: *grid, domain: domain.copied(), wanted: None };
-        // The box is at least twice as wide as the reach, and the grid contains all positions
-        // within the reach.
+        // `farthest` is at most the reach, because the box is at least twice as wide as the reach,
+        // and the grid contains all positions within the reach.
         let farthest = spacing.min(f64::from(periodic.reach()) * grid.cell_size());
         let images =
             Images { placer, periodic, farthest, before: Vec::new(), outside: 0, wrapped: 0 };
@@ -369,7 +369,7 @@ mod tests {
         let at = |i: usize, a: usize| ((i * [7919, 6761, 5879][a]) % 40_009) as f64 / 40_009.0;
         let mut positions: Vec<[f64; 3]> =
             (0..5000).map(|i| [at(i, 0), at(i, 1), at(i, 2)]).collect();
-        // All particles of the third group are far from all faces.
+        // The third group of 1024 particles is far from all faces, so it has no images.
         positions[2048..3072].fill([0.5; 3]);
         (positions[7], positions[8], positions[9]) =
             ([0.5, f64::NAN, 0.5], [1.5, 0.5, 0.5], [1.0, 0.5, 0.5]);
@@ -383,7 +383,7 @@ mod tests {
         assert!(matches!(first, BinError::NotFinite { index: 7, .. }), "{first}");
         let all = of(InvalidParticles::Skip).unwrap();
         let len = all.len();
-        // The particles fill the box. Images extend it by 0.06 on both sides along two axes.
+        // About 4000 particles fill the box. Images extend it by 0.06 on both sides along two axes.
         let expected = 4000.0 * (1.12 * 1.12 - 1.0);
         assert!(((len - 5000) as f64 - expected).abs() < 0.1 * expected, "{} images", len - 5000);
 

@@ -284,7 +284,7 @@ pub fn full_bits(row: &[u8]) -> u128 {
     assert!(row.len() <= 128, "a row of {} cells exceeds 128 bits", row.len());
     let (eights, rest) = row.as_chunks::<8>();
     let rest = rest.iter().rev().fold(0, |bits, &full| bits << 1 | u128::from(full));
-    // The multiplication moves byte i to bit 56 + i.
+    // Each byte is 0 or 1. The multiplication moves byte i to bit 56 + i.
     let bits =
         |&eight: &[u8; 8]| u64::from_le_bytes(eight).wrapping_mul(0x0102_0408_1020_4080) >> 56;
     eights.iter().rev().fold(rest, |all, eight| all << 8 | u128::from(bits(eight)))

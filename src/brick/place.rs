@@ -110,7 +110,7 @@ impl Placer {
                 let clamped = || std::array::from_fn(|a| steps[a].clamp(first[a], last[a]));
                 Ok(domain.contains(position).then(clamped))
             }
-            // The grid's limits do not matter outside the domain.
+            // A position outside the domain gets no bin, so it may exceed the grid's limits.
             (Err(PlacementError::TooFar), Some(domain)) if !domain.contains(position) => Ok(None),
             (Err(fault), _) => Err(fault),
         }
@@ -200,7 +200,7 @@ fn place_all(bounds: &LaneBounds, positions: &[[f64; 3]], addresses: &mut [Addre
         for i in 0..3 * LANES {
             let world = positions[i];
             let step = ((world - bounds.origin[i]) / bounds.cell * f64::from(FRACTIONS)).floor();
-            // These comparisons are false for NaN.
+            // These comparisons are false for NaN, so NaN coordinates are not placed.
             let on_grid = (-STEP_LIMIT..STEP_LIMIT).contains(&step);
             let within = (world >= bounds.walls[0][i]) & (world <= bounds.walls[1][i]);
             unplaced |= u64::from(!(on_grid & within));
@@ -245,8 +245,8 @@ mod tests {
             end: MortonKey::of(IVec3::new(7, -3, 2)),
         };
         let wanted = WantedBins { stretch, deciding };
-        // There are more bins along each axis than the cache can hold, and each bin is looked up
-        // several times.
+        // There are more bins along each axis than the sieve's cache can hold, and each bin is
+        // looked up several times.
         let (edge, mut sieve) = (41_i64, BinSieve::new(wanted, 1));
         let address = |i: i64| {
             let at = i * 7919 % edge.pow(3);
@@ -270,8 +270,8 @@ mod tests {
     fn a_chunk_is_placed_like_its_single_particles() {
         let grid = Grid::new(DVec3::new(0.3, -7.0, 1e-3), 0.37).unwrap();
         let walls = Domain::new(&grid, DVec3::splat(-3.1), DVec3::new(40.0, 50.0, 60.7)).unwrap();
-        // Coordinates are multiples of a step, and the nearest floating-point numbers on both
-        // sides.
+        // Each coordinate is a multiple of a step, or the floating-point number just below or above
+        // it.
         let world = |i: i64, axis: usize| {
             let step = (i * 7919) % 1_600_000 - 300_000 * axis as i64;
             let at = grid.origin()[axis] + grid.cell_size() * step as f64 / f64::from(FRACTIONS);

@@ -149,8 +149,8 @@ pub(super) fn take_sparse(
 ) -> Box<[(SamplePlace, u16)]> {
     let (edge, reach) = (shape.edge() as usize, 2 * shape.ghost_layer as usize);
     let mut sparse = Vec::with_capacity(shape.cells_per_particle() * cells.len());
-    // In the brick, the lowest sample around a cell has the coordinates that the cell has in the
-    // bin, because the brick begins with its ghost layer.
+    // The brick begins one ghost layer below the bin. Cell (x, y, z) of the bin therefore affects
+    // the samples from (x, y, z) of the brick upwards.
     for [x, y, z] in cells {
         for (z, y) in (z..=z + reach).flat_map(|z| (y..=y + reach).map(move |y| (z, y))) {
             let first = x + edge * (y + edge * z);
@@ -176,7 +176,8 @@ mod tests {
             let all = shape.brick_samples();
             [0, 1, 5, all / SPARSE_ONE_IN, all / SPARSE_ONE_IN + 1, all].map(|nonzero| {
                 let mut samples = vec![0; all];
-                // 2731 is prime and not a factor of any brick's size.
+                // 2731 has no common factor with the number of samples, so all indices are
+                // different.
                 (0..nonzero).for_each(|i| samples[i * 2731 % all] = (i * 7919 % 65535) as u16 + 1);
                 assert_eq!(samples.iter().filter(|&&sample| sample > 0).count(), nonzero);
                 (shape, samples)

@@ -541,7 +541,7 @@ mod tests {
     #[test]
     fn memory_kept_by_a_visitor_moves_runs_to_the_file() {
         let (expected, _) = visited(0, 0);
-        // At the end, the kept memory takes the whole budget.
+        // After the last run, the kept memory takes the whole budget.
         let (_, in_memory) = visited(u64::MAX, 0);
         let (room, kept) = (in_memory[0][0], in_memory[0][0] / in_memory.len() as u64);
         let (bins, bytes) = visited(room, kept);

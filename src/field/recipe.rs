@@ -296,7 +296,7 @@ pub fn sheets<F: Fields>(
     if !fields.may_hold(by, &clouds) {
         return Ok(None);
     }
-    // Thick fluid continues into solids. A thin film on a solid is a sheet.
+    // Only thick fluid continues into solids, because a thin film on a solid is a sheet.
     let filled = fields.filled(&clouds, bulk.scale)?;
     drop(clouds);
     let smooth = fields.blur(filled.clone(), &by.bulk)?;

@@ -222,7 +222,7 @@ impl Ends {
             axes.flat_map(|axis| [0, 1].map(|end| side(axis, end))).collect();
         let lo = bounds.lo;
         let count = |position: [f64; 3], size: f64| {
-            // Most particles are far from all sides.
+            // Most particles are far from all sides, so the depth is tested first.
             if sides.iter().any(|side| side.depth(position) < BEHIND[1]) && is_on_grid(position) {
                 sides.iter().for_each(|side| side.add(position, size, lo));
             }
@@ -726,7 +726,7 @@ mod tests {
         let mut ball = lattice([48; 3], 0.4);
         ball.retain(|p| DVec3::from(*p).distance(DVec3::splat(24.0)) < 24.0);
         assert!(walls(&ball).is_open());
-        // A river flows in and out at ragged ends.
+        // The water of a river has ragged ends where it flows in and out.
         let mut river = lattice([90, 20, 30], 0.4);
         river.retain(waves);
         river.retain(|[x, y, z]| (4.0 + 3.0 * (z / 3.0).sin()..80.0 + 2.0 * y.cos()).contains(x));
@@ -789,7 +789,7 @@ mod tests {
             found,
             Walls([[Some(0.0), Some(90.0)], [Some(0.0), None], [Some(0.0), Some(40.0)]])
         );
-        // Too shallow for planes: only two layers.
+        // A film of two layers is too shallow to show planes.
         let film = ends(&lattice([30, 2, 40], 0.2));
         let (found, _) = common(std::slice::from_ref(&film), Some(&scene), None);
         let [[lo, hi], [floor, top], [front, back]] = found.0;
@@ -807,7 +807,7 @@ mod tests {
         let (found, _) = common(&[dam.clone(), later], Some(&wide), None);
         let [front, back] = found.0[2].map(|wall| wall.unwrap());
         assert!((front + 1.0).abs() < 0.1 && (back - 41.0).abs() < 0.1, "{found:?}");
-        // This scene belongs to another simulation.
+        // The walls of another simulation's scene do not match.
         let other = Walls([[Some(5.0), Some(20.0)], [Some(-1.0), None], [None, None]]);
         assert!(!common(&[dam], Some(&other), None).1);
     }

@@ -95,7 +95,7 @@ impl CoincidentCounts {
 /// Returns all records that occur more than once, and the records whose hash equals the hash of a
 /// different record.
 fn possible_duplicates(records: &[u64]) -> Vec<u64> {
-    // The hashes that occur at least once, and the hashes that occur at least twice.
+    // One bit for each hash: whether it occurs at least once, and whether it occurs at least twice.
     let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
     // Multiplying by the golden ratio spreads a difference in any bit to the high bits.
     let bit = |record: u64| {
@@ -134,7 +134,7 @@ mod tests {
     #[test]
     fn a_clump_is_alone_if_the_surrounding_bins_are_empty() {
         let grid = Grid::new(DVec3::ZERO, 0.5).unwrap();
-        // The middle of cell (1, 0, 0) of a bin.
+        // The record of a particle in the middle of cell (1, 0, 0) of its bin.
         let record = (1 << 13) | (1 << 12) | (1 << 12) << 17 | (1 << 12) << 34;
         let mut all = CoincidentCounts::among(IVec3::new(2, 0, 0), &[7, 7]);
         all.add(&CoincidentCounts::among(IVec3::new(-2, 0, 0), &[record; 3]));

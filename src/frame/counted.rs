@@ -83,7 +83,7 @@ impl<'a> CountedFrame<'a> {
         let particles = particles?;
         let room = CountingRoom::within(resources.budget.0);
         let plan = count(&particles, room);
-        // After a cancel, all positions are NaN, so the plan is useless.
+        // After a cancel, positions are read as NaN, so the plan is useless.
         resources.go_on()?;
         input.check()?;
         let plan = match plan {

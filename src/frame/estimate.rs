@@ -247,7 +247,7 @@ impl MemoryEstimate {
             pages.clone().for_each(|page| estimate.add_bin(page.most_bytes(shape) as u64));
             estimate.add_levels(pages.len(), &extraction);
         }
-        // Each octave is meshed in its own cells.
+        // Each octave is meshed only in its own cells, so there is one level.
         let in_octave = Extraction { levels: 1, ..extraction.clone() };
         let mut surface = ExpectedVertices::default();
         for (octave, field) in packed.volumes() {
@@ -347,8 +347,8 @@ impl MemoryEstimate {
         // The DIF stays completely in memory if it takes at most three quarters of `left`. It has
         // priority over the surface, which is used only once.
         let field = if self.field <= left / 4 * 3 { self.field.max(left / 4) } else { left / 4 };
-        // The shares leave some memory for stacks and for the allocator's reserve, both while there
-        // are coded particles and, later, while there is a surface.
+        // The shares leave some of `left` for stacks and for the allocator's reserve, both while
+        // coded particles exist and, later, while the surface exists.
         let surface = ((left - field) / 2).min(left / 4);
         MemoryPlan::OutOfCore(MemoryShares {
             particles: left / 8,

@@ -134,7 +134,7 @@ pub(super) fn surface(
         let (mut change, mut fullest) = (0.0, own);
         for axis in [IVec3::X, IVec3::Y, IVec3::Z] {
             for beside in [bin - axis, bin + axis].map(|bin| shares.get(&bin).copied()) {
-                // Each of two bins gets half of their common face.
+                // A face between two bins is visited once from each bin, so each visit counts half.
                 let half = if beside.is_some() { 0.5 } else { 1.0 };
                 let beside = beside.unwrap_or(0.0);
                 change += half * f64::from((own.sqrt() - beside.sqrt()).abs());
@@ -240,7 +240,8 @@ mod tests {
 
     #[test]
     fn the_expected_block_size_is_weighted_by_vertices() {
-        // Eight bins of one block are full, so a single drop elsewhere hardly changes the mean.
+        // Eight bins of one block are full, so a single drop elsewhere hardly changes the mean
+        // block size.
         let full =
             (CellBox { lo: IVec3::ZERO, hi: IVec3::splat(2) }).cubes(1).map(|bin| (bin, 4096));
         let bins: Vec<_> = full.chain([(IVec3::splat(9), 1)]).collect();

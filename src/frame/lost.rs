@@ -273,9 +273,9 @@ impl BinInRow {
             Self { bin: bin >> widest, particles, occupied, ..Self::default() }
         };
         let mut all: Vec<Self> = occupied.bins.iter().map(from_occupied).collect();
-        // For each tile that the surface passes through: the wide tile that contains it, the tile's
-        // end along x, and whether the inside of the surface follows at this end. Behind the last
-        // tile in a wide tile, the rest of the wide tile is on one side of the surface.
+        // Each entry is a tile that the surface passes through: the wide tile that contains it, its
+        // end along x, and whether the inside of the fluid follows behind this end. Behind the last
+        // of these tiles, the rest of the wide tile is on one side of the surface.
         let mut passed: Vec<([i32; 3], i32, bool)> = Vec::new();
         for piece in 0..surface.pieces() {
             let (block, level) = (surface.block(piece), surface.level(piece));

@@ -498,7 +498,7 @@ impl Engine {
     pub fn lacking_within(&self, stretch: Stretch) -> Result<Vec<u64>, FrameError> {
         let Some((bins, infos)) = &self.carried else { return Ok(Vec::new()) };
         let mut lacking = vec![0; infos.len()];
-        // In almost all frames, all particles have finite values.
+        // In almost all frames, every particle has finite values, so no bin needs a search.
         if bins.without().iter().all(|&without| without == 0) {
             return Ok(lacking);
         }

@@ -160,7 +160,7 @@ impl Pipeline {
         positions: &[DevicePositions],
         settings: &DeviceRequest,
     ) -> Result<ResidentSurface, FrameError> {
-        // SAFETY: there are no semaphores.
+        // SAFETY: the default exchange has no semaphores, which are the only unsafe part.
         let mut surface =
             unsafe { self.surface_between(positions, settings, &Exchange::default()) }?;
         surface.wait()?;

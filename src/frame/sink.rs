@@ -137,8 +137,8 @@ impl FieldSink {
                 Ok(SampledDif::new(facts, indicator, DifField::in_memory(shape, pages)))
             }
             Self::File { file, writer, cache_bytes, folder, .. } => {
-                // A file cannot store the walls of an octave, which follow from the finest cells,
-                // so the walls are set again below.
+                // A file cannot store the walls of an octave, which are computed from the finest
+                // cells, so the walls are set again below.
                 let open = FrameFacts { domain: None, ..facts };
                 writer.finish(&open, indicator)?;
                 let mut sampled = frame_from_file(&file, cache_bytes).map_err(io::Error::other)?;

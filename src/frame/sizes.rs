@@ -136,7 +136,7 @@ impl SampledSizes {
             LevelRegion { level, cells: within.map_or(cells, cut) }
         };
         let boxes = self.clouds[0].surface_boxes(field.reach());
-        // Wide cells at a wall can extend beyond the wall.
+        // Wide cells at a wall can extend beyond the wall, so the boxes get a margin.
         let beyond = 1 << levels.count();
         let near = walls.map(|walls| walls.grown(beyond, beyond));
         let boxes = boxes.map(|cells| near.map_or(cells, |near| cells.intersection(&near)));
@@ -255,7 +255,7 @@ fn mixed_mesh(
     if own.is_empty() {
         return None;
     }
-    // Normals use the field around the ends of an edge.
+    // Gradient normals use samples one cell around both ends of an edge.
     let further = i32::from(normals == Normals::Gradient);
     let of_own = &fields[usize::from(level)];
     let of_wide = fields.get(usize::from(level) + 1).filter(|_| !wide.is_empty());

@@ -57,7 +57,7 @@ pub(super) fn cube_by_cube<'a>(
             Ok::<_, io::Error>(blocks)
         };
         regions.chunks(REGIONS_PER_CALL).try_for_each(|regions| {
-            // In Morton order, the regions of a cube are consecutive.
+            // Regions are in Morton order, so the regions in a cube of blocks are consecutive.
             let cubes: Vec<_> = regions.chunk_by(|a, b| cube(a) == cube(b)).collect();
             let blocks: Vec<_> = cubes.into_par_iter().map(meshes).collect::<io::Result<_>>()?;
             push(blocks.into_iter().flatten().collect())
@@ -191,8 +191,8 @@ impl<'a> CalibratedFrame<'a> {
     /// share, but at least [`BLOCKS_PER_THREAD`] per thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
-        // Wide attributes are much larger than the mesh. They are added after meshing, to a few
-        // blocks at a time.
+        // Wide attributes have so many components that they are much larger than the mesh. They are
+        // added after meshing, to a few blocks at a time.
         let wide = are_wide(spool.components().iter().copied());
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_PER_THREAD * rayon::current_num_threads();

@@ -107,7 +107,7 @@ impl Domain {
     /// [`DomainError`] if the corners are not in order, if the box contains no cell centre along
     /// an axis, or if it extends too far from the grid's origin.
     pub fn new(grid: &Grid, lo: DVec3, hi: DVec3) -> Result<Self, DomainError> {
-        // These comparisons are also false for NaN.
+        // These comparisons are false for NaN, so NaN corners are an error.
         let is_in_order =
             |a: usize| lo[a] < hi[a] && lo[a] != f64::INFINITY && hi[a] != f64::NEG_INFINITY;
         if !(0..3).all(is_in_order) {

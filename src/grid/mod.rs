@@ -125,7 +125,7 @@ impl Grid {
         // Multiplication by a power of two is exact, and f64 represents every step up to the limit
         // exactly.
         let steps = self.cells_from_world(world).map(|c| (c * f64::from(FRACTIONS)).floor());
-        // These comparisons are also false for NaN.
+        // These comparisons are false for NaN, so NaN coordinates are an error.
         if !steps.iter().all(|s| (-STEP_LIMIT..STEP_LIMIT).contains(s)) {
             let finite = world.iter().all(|x| x.is_finite());
             return Err(if finite { PlacementError::TooFar } else { PlacementError::NotFinite });

@@ -258,10 +258,10 @@ impl Periodic {
         let sides = move |axis: usize| if period[axis] == 0 { 0..=0 } else { -1..=1 };
         let sides = sides(2)
             .flat_map(move |z| sides(1).flat_map(move |y| sides(0).map(move |x| [x, y, z])));
-        // `inside` moves a particle to the lower face if its rounded coordinate equals a face, and
-        // by one period, which is not a whole number of steps, if the particle is outside the box.
-        // Along a periodic axis, the particle's bin may therefore differ by one from the bin of its
-        // original position, shifted by whole periods.
+        // `inside` may move a particle: to the lower face if its rounded coordinate equals a face,
+        // or by one period if it is outside the box. A period is not a whole number of steps, so
+        // the bin along a periodic axis may differ by one from the bin of the original position,
+        // shifted by whole periods.
         let margin = IVec3::from(period.map(|period| i32::from(period != 0)));
         let cells = self.cells().grown(self.reach + 1, self.reach + 1);
         let reached = CellBox {

@@ -183,7 +183,7 @@ impl QueueState {
     /// Waits until all work on the queue has finished. Returns at once if the device is lost.
     pub(super) fn idle(&self, device: &ash::Device) -> Result<(), vk::Result> {
         let queue = self.raw.lock().unwrap_or_else(PoisonError::into_inner);
-        // SAFETY: the queue belongs to the device, and is locked: nothing else uses it.
+        // SAFETY: the queue belongs to the device, and is locked, so nothing else uses it.
         match unsafe { device.queue_wait_idle(*queue) } {
             Err(vk::Result::ERROR_DEVICE_LOST) => Ok(()),
             waited => waited,
@@ -222,7 +222,7 @@ impl Device {
         // SAFETY: the device belongs to the instance.
         let known = unsafe { instance.raw.enumerate_device_extension_properties(info.physical) };
         let known = known.unwrap_or_default();
-        // If a device offers this extension, the extension must be enabled.
+        // Vulkan requires the portability subset extension to be enabled if a device offers it.
         let subset = names(&known, khr::portability_subset::NAME);
         let exports = names(&known, khr::external_memory_fd::NAME).filter(|_| options.exports);
         let unfit = |lacks| VulkanError::Unsuitable { device: info.name.clone(), lacks };

@@ -594,8 +594,8 @@ fn stitching_on_the_device_gives_the_mesh_of_the_cpu() {
         (DVec3::new(0.1, -7.3, 1e-3), 0.37, IVec3::new(-64, 0, 0), IVec3::new(32, 96, 64), None),
         // In this scene, the walls are not on cell faces.
         (DVec3::new(0.3, 0.0, 0.1), 0.25, IVec3::splat(-40), IVec3::splat(48), Some(0.1)),
-        // Here, the cells are so small that all coordinates, including those of the walls, are
-        // subnormal in f32.
+        // In this scene, the cells are so small that all coordinates, including those of the walls,
+        // are subnormal in f32.
         (DVec3::ZERO, 1e-40, IVec3::splat(-33), IVec3::splat(35), Some(0.0)),
         (DVec3::new(1e38, -1e38, 0.0), 2e37, IVec3::splat(-20), IVec3::splat(20), None),
     ];

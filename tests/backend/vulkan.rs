@@ -727,8 +727,7 @@ fn work_falsely_reported_complete_leaves_the_right_mesh_and_no_leak() {
                 "{scene:?}, call {call}: {warnings:?}"
             );
         }
-        // Each unit of work uploads, computes and reads back. A failure to read back gives a
-        // warning.
+        // Each unit of work uploads, computes and downloads. A failed download gives a warning.
         let reported = failed.iter().filter(|outcome| !outcome.warnings.is_empty()).count();
         assert!(reported > failed.len() / 3, "{scene:?}: {reported} of {}", failed.len());
     }

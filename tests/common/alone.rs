@@ -34,6 +34,6 @@ fn run(name: &str, mut program: Command, test: impl FnOnce()) {
     let [stdout, errors] =
         [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
     assert!(output.status.success(), "{}: {stdout}{errors}", output.status);
-    // With a wrong name, the harness runs no test and reports success.
+    // If the name is wrong, the harness runs no test and reports success.
     assert!(stdout.contains("1 passed"), "no test is called {name}: {stdout}");
 }

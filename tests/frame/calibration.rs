@@ -299,7 +299,7 @@ fn duplicates_and_clumps_do_not_move_the_surface_elsewhere() {
 
 #[test]
 fn without_an_interior_the_plateau_is_derived_from_the_spacing() {
-    // Use strong jitter, because otherwise symmetry and counts depend on the lattice's position.
+    // Use strong jitter, because without it, symmetry and counts depend on the lattice's position.
     let pool = cube(24.0, 1.0, Disorder::Jittered(0.5), 1);
     for cell in [1.5, 1.0, 2.0 / 3.0, 0.5, 1.0 / 3.0] {
         for indicator in INDICATORS {

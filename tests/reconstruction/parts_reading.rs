@@ -115,7 +115,7 @@ fn a_part_reads_only_the_chunks_of_the_input_that_touch_it() {
     // NaN.
     change_silently(&input, |bytes| bytes[..12 * 8192].fill(0xff));
     assert_eq!(made(&parts, 7), whole[7]);
-    // A part that depends on the changed particles gives an error.
+    // A part that depends on the changed particles must give an error.
     assert_refused(&parts, 0);
     change_silently(&input, |bytes| bytes.copy_from_slice(&raw(&particles)));
     assert_eq!(made(&parts, 0), whole[0]);

@@ -83,8 +83,8 @@ pub fn of_cells(cell: f64) -> Reconstruction {
 
 #[test]
 fn sheets_stretched_to_1_9_spacings_stay_whole_and_keep_their_volume() {
-    // Layers, stretch, and the largest allowed ratio of the surface's volume to the particles'
-    // volume, with cells of 0.5 and of 0.25 spacings.
+    // Each sheet has a number of layers, a stretch, and, for cells of 0.5 and of 0.25 spacings, the
+    // largest allowed ratio of the surface's volume to the particles' volume.
     let sheets = [
         (1, 1.0, [1.3, 1.3]),
         (1, 1.08, [1.3, 1.2]),

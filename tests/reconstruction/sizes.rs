@@ -630,7 +630,8 @@ fn sized_particles_in_parts_give_the_mesh_of_a_single_run() {
         let whole = whole.to_mesh().unwrap();
         let parts = request.parts(&input, &output, 5);
         let plan = parts.plan().unwrap();
-        // Compare with the largest part, because periodic images also count as particles.
+        // Compare parts with the largest part and not with the input, because periodic images also
+        // count as particles.
         let all = plan.parts.iter().map(|share| share.kept).max().unwrap();
         assert!(
             plan.parts.iter().any(|share| share.kept < all),
@@ -678,8 +679,8 @@ fn cells_follow_particle_sizes_and_the_mesh_has_no_gaps() {
             assert_eq!(watertight::defect(&mesh), None, "ratio {ratio}, cells of {cell}");
             let found = measure(&mesh);
             assert_eq!(found.components, 2);
-            // If all cells were as small as the finest, the mesh of the top and the bottom of the
-            // lake would have more triangles than `finest`.
+            // If all cells were as small as the finest cells, the top and the bottom of the lake
+            // would have more than `finest` triangles.
             let finest = 4.0 * (75.0 * ratio / cell).powi(2);
             assert!((mesh.triangles.len() as f64) < 0.6 * finest, "{}", mesh.triangles.len());
             // Normals must point to the outer side of the triangles, even at seams.

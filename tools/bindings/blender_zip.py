@@ -13,7 +13,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 BINDINGS = ROOT / "src" / "bindings" / "blender"
 SOURCE = BINDINGS / "extension"
-#: Blender's name for each platform in the name of a wheel.
+#: Maps the platform in a wheel's name, as a pattern, to Blender's name for this platform.
 PLATFORMS = {
     r"(many|musl)?linux.*_x86_64": "linux-x64",
     r"(many|musl)?linux.*_aarch64": "linux-arm64",

@@ -107,7 +107,7 @@ fn outside_of(
     reach: i32,
 ) -> Option<Block> {
     let (grid, periodic) = (&sampled.facts.grid, sampled.facts.periodic.as_ref());
-    // A cell's cloud reaches beyond the cell.
+    // A cell's cloud reaches beyond the cell, so the test includes a margin of two cells.
     if !solid.is_near(grid, periodic, level, cells.grown(2, 2)) {
         return None;
     }
@@ -168,8 +168,8 @@ impl FieldUse {
     /// samples in `block`.
     fn may_cut(self, block: &Block) -> bool {
         let Self::NearSurface { iso, away_from_walls } = self else { return true };
-        // If all samples are on one side of the isovalue, their weighted means are on the same
-        // side. A block that is all inside has a surface only at a wall.
+        // If all samples are on one side of the isovalue, so are their weighted means, and there is
+        // no surface between cells. If all are inside, there can still be a surface at a wall.
         let threshold = iso.threshold();
         let mut pieces = block.samples().chunks(PIECE);
         let any_inside = pieces.clone().any(|piece| greatest_of(piece) > threshold);
@@ -240,8 +240,8 @@ impl<'a> Blocks<'a> {
     }
 
     fn new(recipe: &Recipe, sampled: &'a SampledDif, cells: CellBox, field_use: FieldUse) -> Self {
-        // The paper's smoothing computes weighted means of the DIF. The recovery of details does
-        // not.
+        // The paper's filters compute weighted means of the DIF only if they do not recover
+        // details.
         let is_mean = matches!(&recipe.filters, Filters::Paper(paper) if paper.recovery.is_none());
         let (density, solid, outside) = (None, None, None);
         Self {
@@ -391,8 +391,8 @@ impl Fields for Blocks<'_> {
 
     fn depths(&mut self, by: &Bulk, clouds: BlockField) -> Result<Depths<BlockField>, StopSignal> {
         let BlockField { ref block, level, ref full } = clouds;
-        // The cells that remain after the widest filter. In sparse blocks, all three filters
-        // compute only these cells.
+        // `cells` are the cells for which the widest filter has all of its taps. If few cells are
+        // full, all three filters compute only `cells`.
         let cells = block.cells().grown(-by.reach(), -by.reach());
         let share = |width: &Width| {
             let (weights, mirror) = (&width.weights, self.mirror(level));
@@ -429,8 +429,8 @@ impl Fields for Blocks<'_> {
         by: (u16, &StandsOut),
     ) -> Result<BlockField, StopSignal> {
         let mut block = outlying([&calm.block, &fine.block], &clouds.block, by);
-        // Inside a solid, the bulk continues, although there are no particles. The sample must not
-        // be `NONE` there.
+        // The bulk continues into solids, although there are no particles in them. Cells in a solid
+        // must therefore not have the sample `NONE`.
         let outside = self.outside.take().map(|outside| outside.part(block.cells()));
         let shares = outside.iter().flat_map(|outside| outside.samples());
         for (sample, _) in
@@ -455,7 +455,8 @@ impl Fields for Blocks<'_> {
         level: u32,
         begin: u16,
     ) -> Result<(), StopSignal> {
-        // The field of a cell is a weighted mean of wide cells.
+        // The field of a cell is a weighted mean of wide cells, so the wide cells decide whether
+        // these cells can have a surface.
         let cells = wide_cells(level, self.cells);
         let drops = !outlying_part(&wide.outlying.block, cells, begin).is_empty();
         if self.field_use.may_show(&wide.bulk.block, cells, drops) {
@@ -488,7 +489,8 @@ impl Fields for Blocks<'_> {
             let around = blur(Block::clone(&block), around, self.mirror(level));
             return Ok(BlockField::new(quotient(&block, &around, bits), level));
         };
-        // Quotients are nonzero only where clouds are nonzero.
+        // A quotient is 0 where the clouds are 0, so only the box around the full cells is
+        // computed.
         let cells = block.cells().grown(-around.reach(), -around.reach());
         let inner = within(&full, cells);
         let part =
@@ -540,7 +542,7 @@ impl Fields for Blocks<'_> {
         let reach = by.average.reach();
         let cells = wide_cells(level, self.wanted).grown(reach, reach);
         let around = |(near, begin): &(Rc<Block>, u16)| {
-            // A cell of this level also affects the narrower cells in its neighbours.
+            // Interpolation spreads the value of a cell to the narrower cells in its neighbours.
             let reach = by.average.reach() + i32::from(level > 0);
             let mut needed = Block::zero(cells.grown(reach, reach));
             for ([y, z], row) in near.rows(self.wanted) {

@@ -131,7 +131,7 @@ impl CpuStages {
         surfaces: &'a Surfaces<'_>,
         regions: &'a [CellBox],
     ) -> Vec<RegionGroup<'a>> {
-        // In Morton order, the regions of a cube are consecutive.
+        // Regions are in Morton order, so the regions in a cube of blocks are consecutive.
         let cubes = |blocks: i32| {
             let cube = move |region: &CellBox| region.lo.div_euclid(IVec3::splat(blocks * BLOCK));
             move |a: &CellBox, b: &CellBox| self.group_bytes > 0 && cube(a) == cube(b)
@@ -175,7 +175,8 @@ fn meshes_of_spray(
         meter.add(1);
         let mut field = spray::field(&drops, normals.cells(region), walls)?;
         let region = normals.region(field.cells());
-        // The filters use cells beyond a periodic face, but the mesh ends at the face.
+        // The filters used cells beyond periodic faces. The mesh ends at the faces, so the field is
+        // mirrored there.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
         field.mirror(cut.map(Mirror::new));
         block_mesh(&field, region, recipe.iso, normals, walls)
@@ -199,7 +200,8 @@ fn meshes(
     let away = |region: CellBox| walls.is_none_or(|walls| walls.covers(&dual_cells(region)));
     let solid =
         surfaces.solid.filter(|_| regions.iter().any(|&region| surfaces.is_at_solid(region)));
-    // At a solid, a block may have a surface even if all of its cells are inside the fluid.
+    // A solid cuts the field, so a block at a solid may have a surface even if all of its cells are
+    // inside the fluid.
     let away = |region| solid.is_none() && away(region);
     let boxes: Vec<_> =
         regions.iter().map(|&region| (normals.cells(region), away(region))).collect();
@@ -208,7 +210,8 @@ fn meshes(
         let field = fields.next().filter(|_| meter.goes_on()).flatten();
         meter.add(1);
         let mut field = field?;
-        // The filters use cells beyond a periodic face, but the mesh ends at the face.
+        // The filters used cells beyond periodic faces. The mesh ends at the faces, so the field is
+        // mirrored there.
         let cut = walls.filter(|_| sampled.facts.periodic.is_some());
         field.mirror(cut.map(Mirror::new));
         block_mesh(&field, region, recipe.iso, normals, walls)

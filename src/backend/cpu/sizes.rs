@@ -234,7 +234,7 @@ impl<'a> SizedField<'a> {
         away_from_walls: bool,
         surfaces: &mut [Option<OctaveSurface>],
     ) -> Result<Block, BoxSide> {
-        // At a solid, there may be a surface even if all cells are inside the fluid.
+        // A solid cuts the field, so there may be a surface even if all cells are inside the fluid.
         let is_at_solid = || self.solid.as_deref().is_some_and(|solid| self.is_at(solid, cells));
         let away_from_walls = away_from_walls && !is_at_solid();
         self.make(surfaces, 0, around);
@@ -330,7 +330,8 @@ impl<'a> SizedField<'a> {
             let mirror = self.mirror(octave as u32 + self.distances(octave).level);
             [calm, fine, bulk].map(|field| {
                 let mut field = finer_spacings(refined(field, 1, wide));
-                // The next octave's mirror can have other planes than this octave's mirror.
+                // The mirror planes of the next octave can differ from those of this octave, so the
+                // field is mirrored again.
                 field.mirror(mirror);
                 field
             })
@@ -376,7 +377,7 @@ impl<'a> SizedField<'a> {
     fn own_surface(&self, octave: usize, cells: CellBox) -> OctaveSurface {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let density = |level: u32, cells: CellBox| self.clouds.density(octave, level, cells);
-        // The wide cells from which the field on the cells `own` is computed are exactly `wide`.
+        // `own` are the cells whose field is computed from exactly the wide cells `wide`.
         let wide = self.wide(octave, cells);
         let further = i32::from(distances.level > 0);
         let own = CellBox {
@@ -411,7 +412,7 @@ impl<'a> SizedField<'a> {
         let (recipe, distances) = &self.recipes[octave.min(1)];
         let DistanceFilters { level, least, stands_out, .. } = distances;
         let sampled = self.clouds.octave(octave);
-        // First, finds the octave's particles that lie outside the calm surface.
+        // First, find the octave's particles that lie outside the calm surface.
         let mirror = self.mirror(octave as u32 + level);
         let wide = self.wide(octave, cells);
         let clouds = sampled.wide(*level).gather_mirrored(wide, mirror);

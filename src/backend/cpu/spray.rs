@@ -132,8 +132,8 @@ impl<'a> SprayMaker<'a> {
             standing_out = blocks.wanted;
             let sheets = sheets(distances, &mut blocks).ok()?;
             if sheets.is_none() {
-                // Without sheets, only the drops of this group are computed here. Clouds reach one
-                // cell beyond `full`, and interpolation reaches one more cell.
+                // Without sheets, only the drops of this group's particles are computed here. The 2
+                // consists of one cell for clouds and one for interpolation.
                 let reach = (drops.spread.reach() + 2) << drops_level;
                 blocks.wanted = standing_out.intersection(&full.grown(reach, reach));
             }
@@ -149,8 +149,8 @@ impl<'a> SprayMaker<'a> {
         if inside.is_empty() {
             return None;
         }
-        // At walls, the field needs all of `around`, so that it includes the cells whose mirror
-        // images lie in the part.
+        // At walls, the field is computed on all of `around`, which includes the cells whose mirror
+        // images are needed.
         let covered = sampled.facts.walls().is_none_or(|walls| walls.covers(&around));
         let part =
             if covered { inside.grown(AROUND, AROUND).intersection(&around) } else { around };
@@ -179,7 +179,7 @@ impl<'a> SprayMaker<'a> {
     /// particles.
     fn near_particles(&self, full: CellBox) -> Option<CellBox> {
         let DistanceFilters { level, near, least, .. } = *self.distances;
-        // Clouds reach beyond the cells of their own bin.
+        // Clouds at the faces of a bin reach into the ghost layer around the bin.
         let ghosts = self.sampled.dif.ghost_layer();
         let around = self.distances.wide_cells(full.grown(ghosts, ghosts));
         let clouds = self.sampled.wide(level).gather(around);
@@ -207,13 +207,13 @@ impl<'a> SprayMaker<'a> {
         if needed.is_empty() {
             return None;
         }
-        // The cells between the centres of the needed wide cells.
+        // The grid cells between the centres of the outermost needed wide cells.
         let further = i32::from(level > 0);
         let between =
             CellBox { lo: (needed.lo + further) << level, hi: (needed.hi - further) << level };
         let mut blocks = Blocks::of_sparse(recipe, sampled, between, FieldUse::Everywhere);
         let WideFields { bulk, outlying } = bulk(distances, &mut blocks).ok()?;
-        // The other wide cells have no particle nearby, so their samples are 0.
+        // Wide cells that are not needed have no particle nearby, so their samples are 0.
         let padded = |BlockField { block, level, .. }: BlockField| {
             let mut padded = Block::zero(wide);
             padded.put_part(needed, block.cells(), block.samples(), |_, sample| sample);

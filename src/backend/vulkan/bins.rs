@@ -165,7 +165,8 @@ impl DeviceFrame {
         unsafe { staged.write(entries_at.start, &entries) };
         range.clone().into_par_iter().zip(&entries).try_for_each(|(bin, entry)| {
             let contents = bins.contents(bin).map_err(DeviceFrameError::Host)?;
-            // SAFETY: as above, and the records of the bins do not overlap.
+            // SAFETY: only this lane, whose earlier work has finished, uses the staging buffer. The
+            // records of the bins do not overlap.
             unsafe {
                 staged.write(records_at.start + 8 * u64::from(entry.first), contents.packed())
             };
@@ -322,8 +323,8 @@ fn read_pages(
     keys: &[MortonKey],
     shape: PageShape,
 ) -> Result<Pages, VulkanError> {
-    // The download is submitted only now. Until now, its queue was free for the upload of the next
-    // batch.
+    // The download is submitted only now, so that it could not delay the upload of the next batch,
+    // which uses the same queue.
     lane.download.stage("download", 2 * batch.pages.bytes());
     lane.download.copy(&batch.pages, &batch.read);
     lane.download.submit(lane.compute.last())?;

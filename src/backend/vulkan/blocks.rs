@@ -413,7 +413,8 @@ impl Contouring<'_> {
                     ..BlockMesh::default()
                 };
                 if self.has_normals() {
-                    // SAFETY: as above.
+                    // SAFETY: the copies have finished, and the lane begins nothing before the
+                    // values are read.
                     let falls: Vec<i32> =
                         unsafe { falls.read(first * size_of::<Falls>() as u64, 6 * vertices) };
                     mesh.normals = self.normals(&mesh, &falls);

@@ -73,7 +73,7 @@ impl PageReader {
         batch.begin()?;
         batch.stage("download", 2 * bytes);
         let mut to = 0;
-        // Consecutive pages are copied together.
+        // One command copies all pages that are consecutive in the buffer.
         for run in infos.chunk_by(|a, b| number(a) + 1 == number(b)) {
             let bytes = run.len() as u64 * page_bytes;
             let from = resident.pages.part(u64::from(number(&run[0])) * page_bytes, bytes);

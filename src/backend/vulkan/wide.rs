@@ -57,7 +57,8 @@ impl Contouring<'_> {
             batch.regions.iter().zip(&wide.probes).zip(&results).enumerate()
         {
             let part = probe.outlying(result).map(|wide| {
-                // A wide cell also affects the grid's cells in its neighbours.
+                // Interpolation spreads the value of a wide cell to the grid cells in its
+                // neighbours.
                 let further = i32::from(distances.level > 0);
                 let CellBox { lo, hi } = wide.grown(further, further);
                 let near = CellBox { lo: lo << distances.level, hi: hi << distances.level };
@@ -200,7 +201,8 @@ impl Contouring<'_> {
             unsafe { grid.stage(&staged, places, from) };
         }
         for (numbers, at) in numbers.iter().zip(&numbers_at) {
-            // SAFETY: as above.
+            // SAFETY: the lane waited for the readers of its staging buffer, which no other lane
+            // uses.
             unsafe { staged.write(at.start, numbers) };
         }
         let uploaded = lane.send(&staged, &inputs)?;

@@ -245,7 +245,7 @@ pub fn bin(
     if u32::try_from(total).is_err() {
         return Err(VulkanError::OutOfMemory { bytes: total as u64 * RECORD_BYTES }.into());
     }
-    // The grid is in device memory, because the thread of every particle reads it.
+    // The grid is in device memory, because each particle's thread reads it.
     let mut batch = device.batch(Queue::Compute)?;
     batch.begin()?;
     let device_grid = batch.store(&[DeviceGrid::new(grid, domain)])?;

@@ -190,7 +190,7 @@ fn blur_wide(to: &mut [u16], taps: &[u16], step: usize, half: &[u32], shift: u32
             taps[first + k * step..].first_chunk::<LANES>().expect("taps for every sample")
         };
         let own = taps(reach);
-        // These are plain loops, because a closure would not be compiled for this machine's
+        // These are plain loops, because a closure would not be compiled for the selected CPU
         // features, and would be called for each sample.
         let mut sums = [1_u32 << (shift - 1); LANES];
         for i in 0..LANES {

@@ -59,7 +59,7 @@ impl Weights {
             let second: f64 = tails().map(|(k, weight)| f64::from(k * k) * weight).sum();
             (sum, 2.0 * second / sum)
         };
-        // The cut makes the filter narrower than the full Gaussian, so the search also tries wider
+        // Cutting off the tails makes the filter narrower, so the search also tries wider
         // Gaussians.
         let (mut below, mut above) = (variance / 2.0, 4.0 * variance);
         for _ in 0..60 {

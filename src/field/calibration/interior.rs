@@ -60,7 +60,7 @@ impl<'a> Interior<'a> {
         let closing = (((gap - 1.0) / 2.0 - 1e-9).ceil() as i32).max(1);
         let fitting = ((ROW - BLOCK) / 2 - depth + reach) / 2;
         let closing = closing.min(fitting);
-        // The stored samples of clouds are already dilated by their reach.
+        // Clouds already dilate the stored samples by `reach`.
         Self { blurred, dilation: closing - reach, erosion: closing + depth }
     }
 

@@ -127,8 +127,8 @@ impl Plateau {
             apply: &|block, walls| smoothing.apply(block, walls),
             meter,
         };
-        // The symmetry indicator does not count particles. Without a spacing, the expected value is
-        // unknown, so any interior is accepted.
+        // Any interior is accepted if the spacing is unknown, because then there is no expected
+        // value, and for the symmetry indicator, which does not count particles.
         let counted = spacing.filter(|_| indicator.kind().counts());
         let volume = cells * cells * cells;
         let (enough, least) =

@@ -326,8 +326,8 @@ pub fn quotient(clouds: &Block, around: &Block, bits: u32) -> Block {
 fn quotient_row(to: &mut [u16], clouds: &[u16], around: &[u16], bits: u32) {
     // A quotient, in units of 1 / 2^`bits`, is either an integer, or below the next integer by more
     // than the rounding error of f64. So f64 divisions, which can be vectorized, give the correct
-    // integer part. To round a quotient down, just under a half is subtracted. Then a number is
-    // added whose last bit counts for 1, so that the sum has no fraction bits.
+    // integer part. Subtracting just under a half and adding `WHOLE_NUMBERS`, whose last bit counts
+    // for 1, rounds the quotient down.
     const WHOLE_NUMBERS: f64 = 3.0 * (1_u64 << 51) as f64;
     const JUST_UNDER_HALF: f64 = 0.5 - 1.0 / (1 << 18) as f64;
     for ((to, &clouds), &around) in to.iter_mut().zip(clouds).zip(around) {

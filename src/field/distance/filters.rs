@@ -132,8 +132,8 @@ impl DistanceFilters {
                 most: (FARTHEST << 14) / spacings,
             }
         });
-        // Extrapolates beyond a variance of 0, to minus half of the variance that the spline adds.
-        // The full variance would overshoot for balls of a few spacings.
+        // The surface is extrapolated to a negative variance: minus half of the variance that the
+        // spline adds. Minus the full variance would overshoot for balls of a few spacings.
         let spline = if wide.level > 0 { SPLINE / 2.0 * (wide.edge * 4096.0).powi(2) } else { 0.0 };
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));

@@ -276,7 +276,7 @@ impl Clouds {
     ) -> Option<(PageInfo, PageSamples)> {
         let samples = &mut room[..self.shape.bin_samples()];
         if PageSamples::are_sparse(self.shape.cells_per_particle() * cells.len(), self.shape) {
-            // Most samples are untouched and need not be examined.
+            // Few samples are nonzero, so only the samples near the particles' cells are examined.
             PageInfo::take_sparse(bin, samples, cells, self.shape)
         } else {
             let page = PageInfo::from_bricks(bin, samples, self.shape);

@@ -92,7 +92,8 @@ impl SampledDif {
         let (mut finer, mut mirror) = (Arc::clone(&self.dif), self.facts.mirror(0));
         let levels = 0..self.wide_cells().level + self.more_levels;
         let halved = levels.map(|level| {
-            // At levels coarser than wide cells, samples deep in the fluid keep their value.
+            // From the level of wide cells upwards, halving averages samples, so samples deep in
+            // the fluid keep their value.
             let is_wide = level >= self.wide_cells().level;
             let factor = if is_wide { 0.125 } else { amount(level + 1) / amount(level) };
             finer = Arc::new(finer.halved(mirror, factor, self.scratch.as_deref()));

@@ -65,7 +65,7 @@ impl<'a> LayerPages<'a> {
             }
         }
         let shape = Octaves::INDICATOR.shape(SIDE);
-        // Each particle has its own amount.
+        // This amount is not used, because each particle has its own amount.
         let clouds = Clouds::new(Amount::of_spacing(1.0), walls, shape);
         Self { bins, octaves, octave, size, clouds, groups }
     }
@@ -147,7 +147,8 @@ impl SizedClouds {
     #[must_use]
     pub fn new(layers: Vec<Layer>) -> Self {
         assert!(!layers.is_empty(), "there are no octaves");
-        // Every coarser octave uses the clouds in its own wide cells.
+        // Every coarser octave also uses a layer's clouds, in its own wide cells, so the layer
+        // needs one more level for each.
         let coarser = (0..layers.len() as u32).rev();
         let with_levels = |(layer, coarser): (Layer, u32)| Layer {
             volume: layer.volume.with_more_levels(coarser),

@@ -115,7 +115,8 @@ impl OctaveDrops<'_> {
                     continue;
                 }
                 let size = sizes.map_or(0, |sizes| sizes.samples()[at]);
-                // The share of a sheet already depends on the amount of fluid in it.
+                // The share of a sheet already depends on its amount of fluid, so only the radius
+                // of drops grows with the size.
                 let of_drops = i64::from(ONE - i32::from(certain));
                 let more = (i64::from(growth) * i64::from(exp2(size) - WHOLE)) >> 15;
                 let more = (more * of_drops) >> BITS;

@@ -31,7 +31,8 @@ impl SampledOctaves {
     #[must_use]
     pub fn calibrated(&self) -> MeasuredCalibration {
         let spacing_cells = self.facts.spacing_cells_or_one();
-        // The nominal plateau exceeds the range of samples in cells of 16 spacings or more.
+        // In cells of 16 spacings or more, the nominal plateau exceeds `u16`, and the cast
+        // saturates.
         let nominal = Plateau::nominal(spacing_cells) * self.density.unwrap_or(1.0);
         let value = nominal.round().max(1.0) as u16;
         let plateau = match self.density {

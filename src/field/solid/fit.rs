@@ -218,7 +218,7 @@ mod tests {
             for cell in places(part).filter(|cell| cell.dot(normal) > -2) {
                 let expected = f64::from(5000 + 300 * cell.x - 200 * cell.y + 100 * cell.z);
                 let found = fit.at(cell).unwrap() as f64;
-                // The stiffness makes the continuation slightly too flat.
+                // The stiffness of the fit makes the continuation slightly too flat.
                 assert!((found - expected).abs() < 60.0, "{normal} {cell}: {found}, {expected}");
             }
         }

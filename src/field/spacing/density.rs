@@ -286,7 +286,8 @@ impl CellCounts {
     fn interior(&self) -> Vec<InteriorCell> {
         match self {
             Self::Listed { size: [x, y, _], counts } => {
-                // The smallest and the greatest count around a cell; `None` if one is 0.
+                // The smallest and the greatest count around a cell; `None` if any of the counts is
+                // 0.
                 let around = |index: usize| {
                     let (mut sparsest, mut densest) = (u32::MAX, 0);
                     for layer in [0, x * y, 2 * x * y] {
@@ -393,7 +394,7 @@ mod tests {
         for fluid in [[15, 20, 30], [20, 15, 30], [21, 15, 30], [22, 15, 30], [30, 15, 30]] {
             assert_eq!(tank([30, 30, 30], fluid.into()), None, "{fluid:?}");
         }
-        // Every third point along each axis of the right half.
+        // The right half keeps only every third point along each axis.
         let two = two_in_lattice([120, 48, 48], |p| p.x < 60 || p % 3 == IVec3::ZERO);
         let [fine, coarse] = two.unwrap();
         assert!((fine - 1.0).abs() < 0.1 && (coarse - 3.0).abs() < 0.3, "{fine} and {coarse}");

@@ -291,7 +291,8 @@ fn of_all(positions: Vec<[f64; 3]>, bounds: Bounds) -> Option<Evidence> {
         let more =
             || if positions.len() <= MOST_SEARCHED { all() } else { in_cubes(CubeSample::new) };
         let found = few.unwrap_or_else(|| Neighbours::of(more()));
-        // A plane or a film may pass through no middle of a cube.
+        // If the search in cubes found nothing, all particles are searched, because a plane or a
+        // film may miss the middles of all cubes.
         if found.suggested().is_some() { found } else { Neighbours::of(all()) }
     };
     let mut neighbours = search(&positions, counted);

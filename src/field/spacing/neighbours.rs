@@ -255,8 +255,8 @@ impl Neighbours {
             return false;
         };
         let agree = |factor: f64| (1.0 / factor..factor).contains(&(counted / measured));
-        // Between sheets that nearly touch, both estimates are too large, but the distances to
-        // third neighbours are not.
+        // For sheets that nearly touch, the counted and the measured spacing are both too large,
+        // but the distances to third neighbours are not.
         let most = if agree(1.02) { 1.06 } else { 1.04 };
         agree(AGREED) && counted < most * by_third
     }

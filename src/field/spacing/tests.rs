@@ -303,7 +303,7 @@ fn many_particles_in_sheets_and_filaments_are_searched_at_their_scale() {
         assert!(particles.len() > ALL);
         let found = estimated(&particles);
         assert!((found.spacing - 1.0).abs() < 0.12, "{found:?}");
-        // The scale of the draft is much too large or much too small.
+        // Try drafts with a scale that is much too large or much too small.
         let share = EvenSample::of(particles.len());
         particles.chunks(1000).for_each(|positions| share.add(positions));
         let mut draft = SpacingDraft::of(share.taken()).unwrap();

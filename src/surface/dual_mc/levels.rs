@@ -115,7 +115,7 @@ impl MixedBlock<'_> {
     /// For each of `cells`, 1 if it is inside the surface, and 0 otherwise.
     fn inside(&self, cells: CellBox, iso: Isovalue) -> Block<u8> {
         let mut inside = Block::zero(cells);
-        // Most cells have the block's own level.
+        // Most cells have the block's own level, so whole rows of them are compared first.
         let LevelField { field, walls } = &self.fields.own;
         let block = CellBox::cube(self.block, BLOCK);
         let own = if self.is_wider(block.lo) { CellBox::EMPTY } else { cells.intersection(&block) };

@@ -445,7 +445,8 @@ fn squared_distances(node: &Node, point: [f64; 3]) -> Lanes {
         let along = or_zero(height.abs() - f64::from(node.thickness[lane]));
         let squared_across = dot(from_centre, from_centre) - height * height;
         let across = or_zero(squared_across.sqrt() - f64::from(node.radius[lane]));
-        // For a disc that is too large for f32, the differences are NaN or negative, and thus 0.
+        // For a disc that is too large for f32, the differences are NaN or negative, and `or_zero`
+        // returns 0.
         let from_disc = (along * along + across * across) * (1.0 - DISC_MARGIN);
         *squared = greater(from_disc, from_box);
     }
@@ -675,7 +676,7 @@ mod tests {
             assert_eq!(nearest_place(point, triangle), (squared, at, place));
             assert_eq!(of_each(&[triangle], point).next(), Some(squared));
         }
-        // Both computations agree for any triangle.
+        // `nearest_place` and `of_each` agree for any triangle.
         let mut random = random_numbers();
         for triangle in triangles(700) {
             let point = triangle[0] + DVec3::new(random(), random(), random());

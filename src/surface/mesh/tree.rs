@@ -159,7 +159,7 @@ impl TriangleTree {
     pub fn winding_number(&self, place: DVec3) -> i32 {
         let [lo, hi] = self.bounds;
         let axis = (hi / 2.0 - lo / 2.0).min_position();
-        // The axis becomes x. A cyclic permutation keeps the sign of a crossing.
+        // `turned` makes the axis x. A cyclic permutation keeps the sign of a crossing.
         let turned = |at: DVec3| DVec3::from([0, 1, 2].map(|other| at[(axis + other) % 3]));
         let from = place - self.origin;
         let is_forward = hi[axis] - from[axis] < from[axis] - lo[axis];

@@ -75,8 +75,8 @@ impl Camera {
         let (azimuth, elevation) = (azimuth.to_radians(), elevation.to_radians());
         let level = world.z_axis * azimuth.cos() + world.x_axis * azimuth.sin();
         let axes = camera_axes(level * elevation.cos() + world.y_axis * elevation.sin(), world);
-        // Finds the nearest eye from which every corner is visible. If the eye looks at the middle
-        // of the box, the picture of the box is not centred, so the line of sight is moved
+        // Find the nearest eye position from which every corner is visible. If the eye looks at the
+        // middle of the box, the picture of the box is not centred, so the line of sight is moved
         // repeatedly.
         let corners: Vec<DVec3> = (0..8)
             .map(|i| {

@@ -125,7 +125,7 @@ fn draw_small(
         }
         for (view, raster) in rasters.iter().enumerate() {
             // Whether the only sample in a triangle's box is inside the triangle is almost random,
-            // too, so this loop has no branches either.
+            // so this loop has no branches.
             let mut drawn = 0;
             for n in ones(may_contain[view]) {
                 let corners = of(&triangles[n], batch, corners, view);

@@ -145,7 +145,7 @@ pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
 /// The byte of a channel in sRGB, after compressing values that are too bright.
 pub(super) fn byte(light: f32) -> u8 {
     let x = light.max(0.0);
-    // Linear up to 0.8, then approaching 1.
+    // The curve is linear up to 0.8, and then approaches 1.
     let x = if x <= 0.8 { x } else { 1.0 - 0.2 * (-(x - 0.8) / 0.2).exp() };
     SRGB[((x * (SRGB_STEPS - 1) as f32 + 0.5) as usize).min(SRGB_STEPS - 1)]
 }

@@ -252,7 +252,8 @@ impl Raster {
             return;
         }
         let [left, right] = samples(corners, 0, &(0..self.width as i32));
-        // A separate read and write are much faster than an atomic addition.
+        // No other thread draws in these rows, so this reads and writes separately, which is much
+        // faster than an atomic addition.
         self.fill([[left, right], [top, bottom]], number, corners, |sample, key, path| {
             let (nearest, through) = (&self.nearest[sample], &self.through[sample]);
             if nearest.load(Ordering::Relaxed) < key {
@@ -304,7 +305,7 @@ impl Raster {
                     let near = near.clamp(least, most);
                     // Among equally near triangles, the first one wins.
                     let key = u64::from(near.to_bits()) << 32 | u64::from(!number);
-                    // Intermediate sums may overflow; the final sum does not.
+                    // Intermediate sums of a sample may overflow, but its final sum does not.
                     let path = (leaves / near * self.path_steps) as i64 as i32;
                     put(row + x as usize, key, path);
                 } else if entered {

@@ -322,7 +322,8 @@ impl PlacedMesh<'_> {
         }
         // Distances inside the mesh are negative.
         let are_inside = if of_middle > to_corner * (1.0 + 1e-9) {
-            // No triangle is between the middle of the cube and its cells.
+            // No triangle is between the middle of the cube and its cells, so all of them are on
+            // one side.
             [self.contains_local(middle); CELLS]
         } else {
             are_inside(&distances, width, |cell| self.contains_local(centre(cell)))

@@ -86,7 +86,7 @@ fn water(seed: u64) -> Vec<[f64; 3]> {
     let mut particles = fill(5.0, 1.0, 0.4, seed, |p| p.y < p.x.sin() - 0.6 && p.x + p.z < 4.0);
     particles.extend(fill(5.0, 1.0, 0.3, seed + 9, |p| p.y > 2.0 && p.y < 3.0 && p.x > -1.0));
     particles.extend((0..12).map(|_| [(); 3].map(|()| 10.0 * random.unit() - 5.0)));
-    // Two particles at the same position, and a chain.
+    // A pair of particles at the same position, and a chain of four particles.
     particles.extend([[-4.2, 1.3, 0.4]; 2]);
     particles.extend((0..4).map(|i| [-4.0 + 1.4 * f64::from(i), 1.5, -4.0]));
     particles

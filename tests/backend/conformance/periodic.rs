@@ -81,7 +81,7 @@ pub fn a_periodic_mesh_equals_the_mesh_of_repeated_particles(backend: &TestBacke
 
                 let mean = calibration.and_then(|known| known.mean());
                 let method = Method::Indicator { kind, mean };
-                // The CPU makes the expected mesh, because the repeated particles are many.
+                // The CPU makes the expected mesh, because there are many repeated particles.
                 let mut alone = Sampling { method, ..sampling.clone() };
                 alone.resources.backend = Backend::cpu();
                 let (expected, _) =

@@ -490,7 +490,7 @@ pub fn a_million_coincident_particles_become_one_drop_or_an_error(backend: &Test
                 assert_eq!(measure(&mesh).components, 1);
             }
             (IndicatorKind::Symmetry, Err(FrameError::NoSurface { .. })) => {}
-            // The 16-bit samples cannot represent a mean of a million.
+            // The 16-bit samples cannot represent a mean count of a million particles per cell.
             (IndicatorKind::Counting, Err(FrameError::MeanCount(_))) => {}
             (indicator, other) => panic!("{indicator:?} gave {other:?}"),
         }
@@ -510,7 +510,8 @@ pub fn attributes_are_interpolated_smoothly_for_any_particle_order(backend: &Tes
     let [velocity] = &first.mesh.attributes[..] else { panic!("expected one attribute") };
     assert_eq!(velocity.values.len(), 3 * first.mesh.positions.len());
     for (&[x, _, z], v) in first.mesh.positions.iter().zip(velocity.values.chunks_exact(3)) {
-        // The values come from particles up to two cells deeper than the vertex.
+        // The tolerance is large, because values come from particles up to two cells below the
+        // surface.
         assert!((f64::from(v[0]) - 3.0 * z).abs() < 6.0 && (f64::from(v[2]) + 3.0 * x).abs() < 6.0);
         assert!((v[1] - 0.5).abs() < 0.1);
     }
