@@ -148,8 +148,9 @@ macro_rules! settings {
 settings! {
     /// Distance between neighbouring particles.
     ///
-    /// By default, it comes from the particle file, or from the simulator's scene file in the same
-    /// folder or its parent. If neither has it, it is estimated from the particles.
+    /// By default, the spacing comes from the particle file, or from the simulator's scene file in
+    /// the same folder or its parent. If neither file has it, meniscus estimates it from the
+    /// particles.
     #[arg(
         value_name = "LENGTH", conflicts_with = "radius", allow_negative_numbers = true,
         help_heading = "Input"
@@ -231,8 +232,8 @@ settings! {
     ///
     /// `-` for both ends of an axis makes it non-periodic: 0,-,0,1,-,1 is periodic along x and z.
     /// A particle exactly on an upper face counts as being on the lower face. A particle that is at
-    /// most one spacing outside the box is wrapped into it, and counted. A particle farther outside
-    /// is an error, unless you skip invalid particles.
+    /// most one spacing outside the box is wrapped into it, and a message gives the number of such
+    /// particles. A particle farther outside is an error, unless you skip invalid particles.
     #[arg(value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true, help_heading = "Input")]
     periodic: Option<Faces>,
 

@@ -55,14 +55,16 @@ pub enum SimulationError {
     Timeout(f64),
     /// Steps inside one file, which cannot be watched.
     #[error(
-        "{0}: cannot watch for new frames inside one file; convert it when the simulation has ended"
+        "{0}: cannot watch for new frames inside one file; convert the file when the simulation \
+         has ended"
     )]
     Steps(String),
     /// Frames in several files. They cannot be watched, because no file shows that a frame is
     /// complete.
     #[error(
-        "{0}: cannot watch frames that are split into several files, because nothing shows when \
-         all files of a frame have been written; convert the frames when the simulation has ended"
+        "{0}: cannot watch frames that are split into several files, because meniscus cannot tell \
+         when all files of a frame have been written; convert the frames when the simulation has \
+         ended"
     )]
     Joined(String),
     /// Frames of another simulation, which appeared while one simulation was watched.

@@ -92,7 +92,10 @@ pub enum FrameError {
         there: i32,
     },
     /// Kernels need a spacing, which determines their width.
-    #[error("kernel methods need the spacing of the particles; set it")]
+    #[error(
+        "kernel methods (mueller, zhu-bridson and yu-turk) need the spacing of the particles; set \
+         the spacing"
+    )]
     NoSpacing,
     /// The grid is too fine for kernels.
     #[error(transparent)]

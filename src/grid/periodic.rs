@@ -48,10 +48,10 @@ pub(crate) struct InBox {
 #[serde(rename_all = "kebab-case")]
 #[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
 pub enum PeriodicMesh {
-    /// Ends on the faces, closed as at the walls of a tank.
+    /// The mesh ends on the faces, and is closed there as at the walls of a tank.
     #[default]
     Cut,
-    /// Extends a few cells beyond the faces, so that adjacent copies overlap.
+    /// The mesh extends a few cells beyond the faces, so that adjacent copies overlap.
     Overlap,
 }
 
@@ -76,7 +76,10 @@ pub enum PeriodicError {
     )]
     Corners,
     /// No axis is periodic.
-    #[error("the box is not periodic along any axis; give both ends of at least one axis")]
+    #[error(
+        "the box is not periodic along any axis; give the coordinates of both ends of at least one \
+         axis"
+    )]
     Open,
     /// The domain has walls along a periodic axis.
     #[error(
@@ -89,8 +92,9 @@ pub enum PeriodicError {
     },
     /// The box is so narrow that a filter could reach a particle and its image at the same time.
     #[error(
-        "the periodic box is {} wide along {axis}, but must be at least {} wide, which is twice the \
-         reach of the filters; use a smaller cell size or less smoothing, or leave {axis} open",
+        "the periodic box is {} wide along {axis}, but must be at least {} wide, which is twice \
+         the reach of the filters; use a smaller cell size or less smoothing, or make {axis} \
+         non-periodic",
         shown(*width), shown(2.0 * *reach)
     )]
     Narrow {

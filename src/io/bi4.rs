@@ -187,7 +187,7 @@ impl Bi4Piece {
         let find = |names: [&str; 2], scalars: [Scalar; 2], components: usize| {
             let array = arrays.iter().find(|array| names.contains(&array.name.as_str()));
             let array = array.ok_or_else(|| {
-                malformed(HEAD, format!("the part has no array {} or {}", names[0], names[1]))
+                malformed(HEAD, format!("the file has no array {} or {}", names[0], names[1]))
             })?;
             let (scalar, width) = array.shape;
             if scalars.contains(&scalar) && width == components {

@@ -138,7 +138,8 @@ fn collection(bytes: &[u8], folder: &Path) -> Result<Vec<ListedFrame>, ReadFault
     each_tag(bytes, |tag, _| {
         if tag.tag.name().as_ref() == "DataSet" {
             let file = tag.value("file")?.filter(|file| !file.is_empty());
-            let file = file.ok_or_else(|| malformed(tag.at, "a DataSet has no file"))?;
+            let file =
+                file.ok_or_else(|| malformed(tag.at, "a <DataSet> has no attribute `file`"))?;
             let time: Option<f64> = tag.number("timestep")?;
             if time.is_some_and(|time| !time.is_finite()) {
                 return Err(malformed(tag.at, "a timestep is not finite"));

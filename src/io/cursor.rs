@@ -105,6 +105,7 @@ impl<'a> Cursor<'a> {
     pub fn count(&mut self, what: &str) -> Result<u64, ReadFault> {
         let at = self.at;
         let count = self.u32(what)? as i32;
-        u64::try_from(count).map_err(|_| malformed(at, format!("the number of {what} is {count}")))
+        u64::try_from(count)
+            .map_err(|_| malformed(at, format!("the number of {what} is negative: {count}")))
     }
 }

@@ -129,10 +129,16 @@ impl<'a> VertexPoints<'a> {
     pub fn kept_ranges(self) -> Result<Vec<Range<usize>>, String> {
         let (points, cells) = (self.points, self.vertices.count);
         if let Some((cell, point)) = self.first_invalid {
-            return Err(format!("cell {cell} of {cells} refers to point {point} of {points}"));
+            return Err(format!(
+                "cell {cell} refers to point {point}, but there are {cells} cells and {points} \
+                 points, numbered from 0"
+            ));
         }
         if self.count != cells {
-            return Err(format!("{cells} cells refer to {} points", self.count));
+            return Err(format!(
+                "{cells} cells refer to {} points; each cell must refer to one point",
+                self.count
+            ));
         }
         let mut kept = Vec::new();
         let is_kept = |point: &usize| !self.flagged.get(*point) || self.unflagged.get(*point);

@@ -157,7 +157,10 @@ impl ObjMesh {
                 self.triangles.extend(rim.windows(2).map(|edge| [*apex, edge[0], edge[1]]));
                 Ok(())
             }
-            few => Err(scan.fault(line, format!("a face has {} corners", few.len()))),
+            few => {
+                Err(scan
+                    .fault(line, format!("a face has {} corners, expected 3 or more", few.len())))
+            }
         }
     }
 

@@ -313,7 +313,7 @@ mod tests {
         let fault = three(&[0.5, 1.5, 2.5]).like(&one).map(drop).unwrap_err();
         let KindFault::Type { name, own, shared } = fault else { panic!("{fault}") };
         assert_eq!(name, "temp");
-        assert_eq!([own, shared], ["3 floating-point numbers", "a floating-point number"]);
+        assert_eq!([own, shared], ["3 floating-point numbers", "one floating-point number"]);
         assert_eq!(three(&[]).like(&one).unwrap().attributes(), one.attributes());
     }
 }

@@ -56,10 +56,10 @@ pub enum KindFault {
     /// A colour from 0 to 255 in a sequence whose colours are from 0 to 1.
     #[error(
         "colour {name:?} contains the value {greatest}, so its range seems to be 0 to 255, but in \
-         the calibration frame (usually the first) it seems to be 0 to 1; use the same range in \
-         all frames, or do not transfer the attribute; if all frames use 0 to 255, the colours of \
-         the calibration frame are so dark that meniscus took their range for 0 to 1; in this \
-         case, begin with a frame that has a value above 16"
+         the calibration frame (usually the first), the range seems to be 0 to 1; use the same \
+         range in all frames, or do not transfer the attribute; if all frames use 0 to 255, the \
+         calibration frame has only dark colours (values up to 16), so begin with a frame that has \
+         a value above 16"
     )]
     Scale {
         /// The name of the attribute.

@@ -67,9 +67,9 @@ impl AttributeInfo {
             (AttributeKind::Colour | AttributeKind::ByteColour, _) => {
                 format!("a colour of {components} components")
             }
-            (AttributeKind::Number, 1) => "a floating-point number".into(),
+            (AttributeKind::Number, 1) => "one floating-point number".into(),
             (AttributeKind::Number, _) => format!("{components} floating-point numbers"),
-            (_, 1) => "an integer".into(),
+            (_, 1) => "one integer".into(),
             (_, _) => format!("{components} integers"),
         }
     }

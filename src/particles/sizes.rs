@@ -107,8 +107,8 @@ pub enum SizeFault {
     },
     /// The attribute holds masses, but no attribute holds densities.
     #[error(
-        "attribute {name:?} holds masses, and computing sizes from masses needs densities, but \
-         there is no density attribute; available attributes: {}",
+        "sizes cannot be computed from the masses in attribute {name:?}, because there is no \
+         density attribute; available attributes: {}",
         listed(known)
     )]
     NoDensity {

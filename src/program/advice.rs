@@ -73,8 +73,8 @@ fn in_options(error: &Error) -> Option<String> {
         }
         Error::Simulation(SimulationError::Steps(inputs)) => {
             format!(
-                "{inputs}: --watch cannot watch for new frames inside one file; convert it when \
-                 the simulation has ended"
+                "{inputs}: --watch cannot watch for new frames inside one file; convert the file \
+                 when the simulation has ended"
             )
         }
         Error::Simulation(SimulationError::Range { first, last }) => {
@@ -136,7 +136,7 @@ fn advice(error: &Error) -> String {
             "; use --resume or --overwrite to start again"
         }
         Error::Simulation(SimulationError::Settings { differing, .. }) if differing == "fps" => {
-            "; use the old --fps, or --resume and --overwrite to change it"
+            "; use the old --fps, or change it with --resume and --overwrite"
         }
         Error::Simulation(SimulationError::Settings { .. }) => {
             "; undo the changes, or use --overwrite to make all frames again"
@@ -173,14 +173,14 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
         FrameError::NoSpacing => " with --spacing",
         FrameError::TooFine(TooFine::Steps { .. }) => " (--cell-size)",
         FrameError::TooFine(TooFine::Finest { .. }) => {
-            " (--cell 0.1 or more); is the --spacing correct?"
+            " (--cell 0.1 or more); check the spacing (--spacing)"
         }
         FrameError::TooFine(TooFine::Symmetry { .. }) => {
             " (--cell above 0.5), or another --indicator"
         }
         FrameError::NoSurface { .. } => {
             " (--iso, --cell), a smaller --sigma, or --indicator cloud, which keeps drops and \
-             sheets; is the --spacing correct?"
+             sheets; check the spacing (--spacing)"
         }
         FrameError::NothingLeft(TooSmall { drops: 0, .. }) => {
             "; use a smaller --smallest-component"
@@ -189,7 +189,7 @@ fn advice_on_frame(fault: &FrameError) -> &'static str {
             "; use a smaller --smallest-drop"
         }
         FrameError::NothingLeft(_) => "; use a smaller --smallest-component or --smallest-drop",
-        FrameError::NoDistanceSurface { .. } => " (--cell); is the --spacing correct?",
+        FrameError::NoDistanceSurface { .. } => " (--cell); check the spacing (--spacing)",
         FrameError::NoKernelSurface => {
             " (--cell) or, except with --method zhu-bridson, a lower --iso"
         }
@@ -333,7 +333,7 @@ fn on_shortfall(options: Option<&ReconstructOptions>, clouds: bool) -> String {
     } else if options.is_some_and(|options| options.settings.kernels().is_none()) && !clouds {
         advice += "; use --indicator cloud, which keeps drops and sheets";
     }
-    advice + "; is the --spacing correct?"
+    advice + "; check the spacing (--spacing)"
 }
 
 /// The names of the options that removed all components from the mesh.

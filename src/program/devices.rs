@@ -25,8 +25,11 @@ pub fn run(options: &DevicesOptions) -> Result<Verdict, Error> {
     for device in devices.iter().filter(|_| !options.json) {
         let usable =
             device.lacks.map_or(String::new(), |lacks| format!("; cannot be used: {lacks}"));
-        let usable =
-            if device.is_conformant() { usable } else { format!("; not conformant{usable}") };
+        let usable = if device.is_conformant() {
+            usable
+        } else {
+            format!("; has not passed the Vulkan conformance tests{usable}")
+        };
         super::notes::print(&format!(
             "{} {}: {}, Vulkan {}, {}, {}{usable}",
             device.index,

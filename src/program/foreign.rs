@@ -44,7 +44,11 @@ const FOREIGN: &[(&[&str], &str, &str)] = &[
         "reduces the number of triangles",
     ),
     (&["-a", "--interpolate-attribute"], "attributes", "takes names separated by commas"),
-    (&["--sph-normals", "--normals-smoothing-iters"], "normals", "computes them from the field"),
+    (
+        &["--sph-normals", "--normals-smoothing-iters"],
+        "normals",
+        "computes vertex normals from the field",
+    ),
     (
         &["--particle-aabb-min", "--particle-aabb-max", "--domain-min", "--domain-max", "--aabb"],
         "domain",

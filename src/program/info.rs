@@ -92,7 +92,7 @@ fn describe(info: &Info) -> String {
             ..
         }) => {
             line("particles", particles.to_string());
-            let only = || particle_types.first().map(|only| format!("{only} (the only one)"));
+            let only = || particle_types.first().map(|only| format!("{only} (the only type)"));
             type_read(particle_types).or_else(only).into_iter().for_each(|read| line("type", read));
             if *not_finite > 0 {
                 line("not finite", not_finite.to_string());
@@ -105,7 +105,10 @@ fn describe(info: &Info) -> String {
             if let Some(edges) = box_size {
                 line(
                     "file's box",
-                    format!("edges {edges:?}; if fluid leaves through its faces, use --periodic"),
+                    format!(
+                        "edges {edges:?}; if fluid that leaves through a face re-enters on the \
+                         opposite side, use --periodic"
+                    ),
                 );
             }
             if let Some(metres) = unit_metres {

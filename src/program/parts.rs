@@ -18,9 +18,10 @@ use super::report::{contents, report_cells, report_census, report_stages, warn_a
 pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Verdict, Error> {
     let step = options.parts.step(options.simulation.plan)?;
     let refused = match step {
-        _ if options.dry_run => {
-            Some("--dry-run does not work with --parts; --plan prints the needs of each part")
-        }
+        _ if options.dry_run => Some(
+            "--dry-run does not work with --parts; --plan prints the memory and scratch space that \
+             each part needs",
+        ),
         PartsStep::Plan | PartsStep::Part(_) if options.stats.is_some() => {
             Some("--stats works only with --merge: the other steps of --parts make no mesh")
         }
@@ -56,7 +57,7 @@ pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Ver
                 report_cells(cells, made.indicator.map(Indicator::kind), moved_to, &notes);
             }
             write(options, input, &surface, &request, (output, preview), &notes)?;
-            notes.say(format!("{}: can be deleted", parts.folder().display()));
+            notes.say(format!("{}: this folder can be deleted", parts.folder().display()));
             Ok(Verdict::Good)
         }
     }
@@ -101,13 +102,14 @@ fn describe_parts(planned: &PartsPlan) -> String {
     let mut lines = Vec::new();
     for (number, part) in planned.parts.iter().enumerate() {
         let mut line = format!(
-            "part {number}: {} particles, or {} with the particles around it that affect it",
+            "part {number}: {} particles, or {} with the surrounding particles that affect its \
+             surface",
             part.particles, part.kept
         );
         if let Some(PartNeeds { memory, in_core, scratch, .. }) = part.needs {
             let [memory, budget, in_core, scratch] =
                 [memory, planned.budget, in_core, scratch].map(ByteSize);
-            line += &format!("; memory: about {memory} of {budget}");
+            line += &format!("; memory: about {memory} of the {budget} limit");
             if scratch.0 > 0 {
                 line += &format!(
                     " ({in_core} without scratch files); scratch files: at most about {scratch}"
@@ -131,7 +133,7 @@ fn make(
     let what =
         format!("{}: {blocks} blocks, {triangles} triangles, {}", path.display(), ByteSize(bytes));
     if reused {
-        notes.say(format!("{what}, made earlier"));
+        notes.say(format!("{what}, made earlier by another run"));
     } else {
         notes.say(format!("{what} from {read} particles in {:.2} s", timings.total()));
     }

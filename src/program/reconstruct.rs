@@ -86,8 +86,8 @@ fn dry_run(
         bytes => format!("at most about {} in {}", ByteSize(bytes), needs.scratch_folder.display()),
     };
     let mut text = format!(
-        "would reconstruct {} particles with cells of {} into {output}\n\
-         memory: about {memory:.2} of {budget} ({in_core:.2} without scratch files)\nscratch: {scratch}",
+        "would reconstruct {} particles with cells of {} into {output}\nmemory: about {memory:.2} \
+         of the {budget} limit ({in_core:.2} without scratch files)\nscratch: {scratch}",
         census.binned,
         shown(cell_size),
     );

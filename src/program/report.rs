@@ -132,7 +132,7 @@ fn report_calibration(
     let &MeasuredCalibration { calibration, plateau, step_cells } = measured;
     let facts = &report.facts;
     notes.detail(format!(
-        "the smallest step of the field moves the surface by {} cells",
+        "field values are rounded to steps; one step moves the surface by {} cells",
         significant(step_cells, 3)
     ));
     let Some(iso) = calibration.iso().map(Isovalue::value) else {
@@ -143,12 +143,12 @@ fn report_calibration(
             }
             Plateau::Shallow { .. } => {
                 let spacing = match facts.spacing {
-                    Some(_) => "spacing",
-                    None => "spacing of one cell (the spacing is unknown)",
+                    Some(_) => "cubed spacing",
+                    None => "cell (the spacing is unknown)",
                 };
                 format!(
-                    "density: assumed to be one particle per cubed {spacing}, because the fluid \
-                     is too shallow to measure"
+                    "density: assumed to be one particle per {spacing}, because the fluid is too \
+                     shallow to measure its density"
                 )
             }
         });

@@ -30,7 +30,7 @@ pub struct RunOptions {
     /// The default is three quarters of the available memory.
     #[arg(long, value_name = "SIZE", help_heading = "Machine")]
     memory: Option<ByteSize>,
-    /// Folder for scratch files, if a frame exceeds the memory limit [default: the output's
+    /// Folder for the scratch files of frames that exceed the memory limit [default: the output's
     /// folder].
     #[arg(long, value_name = "DIR", help_heading = "Machine", hide_short_help = true)]
     scratch: Option<PathBuf>,

@@ -29,7 +29,7 @@ impl fmt::Display for NoVelocity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let listed = &self.attributes[..self.attributes.len().min(LISTED)];
         match &self.attributes[..] {
-            [only] => write!(f, "the only attribute, {only}, is not taken as the velocity"),
+            [only] => write!(f, "the only attribute, {only}, is not recognised as a velocity"),
             all => {
                 write!(f, "no velocity found among the attributes {}", listed.join(", "))?;
                 match all.len() - listed.len() {

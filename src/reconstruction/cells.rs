@@ -122,7 +122,7 @@ impl fmt::Display for FoundWalls {
         match (&self.scene, self.walls.is_open()) {
             (_, true) => f.write_str("no walls were found"),
             (Some(scene), false) => {
-                write!(f, "walls {} ({} and the particles)", self.walls, scene.display())
+                write!(f, "walls {} (from {} and the particles)", self.walls, scene.display())
             }
             (None, false) => {
                 write!(f, "walls {} (planes at which the particles end)", self.walls)

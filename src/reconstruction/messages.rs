@@ -376,7 +376,7 @@ fn frames() -> String {
         Type {
             name: "stress".into(),
             own: "3 floating-point numbers".into(),
-            shared: "a floating-point number".into(),
+            shared: "one floating-point number".into(),
         },
     );
     examples!(text, TooFine:

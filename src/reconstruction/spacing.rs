@@ -374,8 +374,9 @@ impl fmt::Display for SpacingWarning {
             }
             Self::Mixed(Mixture { attribute, boundary, fluid }) => write!(
                 f,
-                "the {} particles with {attribute}={} surround the {} with {attribute}={} and look \
-                 like a boundary; both are meshed as one fluid",
+                "the {} particles with {attribute}={} surround the {} particles with \
+                 {attribute}={} and may be boundary particles; meniscus meshes both groups as one \
+                 fluid",
                 boundary.1, boundary.0, fluid.1, fluid.0
             ),
             Self::Thin { used, counted, nearest } => {
@@ -389,7 +390,7 @@ impl fmt::Display for SpacingWarning {
                     ),
                     None => write!(
                         f,
-                        "few particles are surrounded by others, so the spacing is uncertain: \
+                        "few particles have neighbours on all sides, so the spacing is uncertain: \
                          nearest neighbours are {} apart; meniscus uses a spacing of {used}",
                         about(*nearest)
                     ),
@@ -446,17 +447,17 @@ impl fmt::Display for SpacingWarning {
             }
             Self::MoreSizes { attribute, sizes: [least, most], used } => write!(
                 f,
-                "in this frame, {attribute} gives the particles sizes from {} to {}, but in the \
-                 calibration frame, all particles have one size; meniscus uses size {} for all \
-                 particles of this frame",
+                "in this frame, the attribute {attribute} gives the particles sizes from {} to {}, \
+                 but in the calibration frame, all particles have one size; meniscus uses size {} \
+                 for all particles of this frame",
                 about(*least),
                 about(*most),
                 about(*used)
             ),
             Self::SinglePrecision { step, spacing } => write!(
                 f,
-                "the particles are so far from the origin that their single-precision coordinates \
-                 have steps of {}, more than a quarter of the spacing {}",
+                "the particles are so far from the origin that single precision rounds their \
+                 coordinates to multiples of {}, which is more than a quarter of the spacing {}",
                 about(*step),
                 shown(*spacing)
             ),

@@ -277,7 +277,8 @@ impl fmt::Display for Warning {
                 )
             }
             Self::Alpha { attribute, own, shared } => {
-                let what = if own > shared { "leaves out its alpha" } else { "makes it opaque" };
+                let what =
+                    if own > shared { "leaves out its alpha component" } else { "makes it opaque" };
                 write!(
                     f,
                     "the colour \"{attribute}\" has {own} components in this frame, but {shared} \

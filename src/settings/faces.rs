@@ -37,9 +37,10 @@ impl TryFrom<[Option<f64>; 6]> for Faces {
         let axis = |(name, ends)| match ends {
             (Some(lo), Some(hi)) => Ok(Some([lo, hi])),
             (None, None) => Ok(None),
-            _ => {
-                Err(format!("only one end of {name} is open: give two numbers, or open both ends"))
-            }
+            _ => Err(format!(
+                "only one end of {name} is open: give both ends a coordinate, or mark both ends as \
+                 open"
+            )),
         };
         Ok(Self([axis(("x", (x0, x1)))?, axis(("y", (y0, y1)))?, axis(("z", (z0, z1)))?]))
     }

@@ -336,8 +336,8 @@ impl fmt::Display for Event {
             }
             Self::Waiting { inputs, unsuitable } => write!(
                 f,
-                "{inputs}: waiting for a frame with deeper fluid, to calibrate all frames on it; \
-                 frames examined so far: {unsuitable}"
+                "{inputs}: waiting for a frame with deeper fluid, which the calibration of all \
+                 frames needs; frames examined so far: {unsuitable}"
             ),
             Self::TimesInNames { path, time } => write!(
                 f,
@@ -350,10 +350,10 @@ impl fmt::Display for Event {
                 write!(f, "{}: starting again; changed: {differing}", state.display())
             }
             Self::Resumed { state, shared } => {
-                write!(f, "resuming with {}: {shared}", state.display())
+                write!(f, "resuming with the calibration in {}: {shared}", state.display())
             }
             Self::Measured { path, shared, trust: Trust::Sound } => {
-                write!(f, "measured on {}: {shared}", path.display())
+                write!(f, "calibrated on {}: {shared}", path.display())
             }
             Self::Measured { shared, trust, .. } => {
                 let what = match trust {
@@ -362,7 +362,7 @@ impl fmt::Display for Event {
                         "all particles are on a lattice, so the calibration is less reliable"
                     }
                 };
-                write!(f, "warning: {what}; measured on frame {}: {shared}", shared.frame)
+                write!(f, "warning: {what}; calibrated on frame {}: {shared}", shared.frame)
             }
             Self::Started { frames, done, .. } => {
                 write!(f, "{done} of {frames} frames are already finished")

@@ -72,17 +72,17 @@ impl fmt::Display for Forecast {
         let output = output.display();
         write!(f, "would convert {wanted} of {frames} frames of {inputs} to {output}")?;
         if *done > 0 {
-            write!(f, "; {done} are finished")?;
+            write!(f, "; {done} frames are already finished")?;
         }
         if missing.count() > 0 {
-            write!(f, "\nmissing: {missing}")?;
+            write!(f, "\nmissing frames: {missing}")?;
         }
         write!(f, "\n{shared}")?;
         let Some(largest) = largest else { return Ok(()) };
         write!(
             f,
-            "\nlargest frame {}: {} particles, {} triangles, memory: {} of {}; {} frames in \
-             parallel\ndisk: about {}\ntime: about {:.0} s",
+            "\nlargest frame {}: {} particles, {} triangles, memory: {} of the {} limit; {} frames \
+             in parallel\ndisk: about {}\ntime: about {:.0} s",
             largest.frame,
             largest.particles,
             largest.triangles,

@@ -510,8 +510,8 @@ impl Sequence {
         }
         let patterns: Vec<_> = patterns.iter().map(|new| format!("\"{new}\"")).collect();
         Err(SimulationError::Names(format!(
-            "the first frames matched \"{pattern}\", but later files differ in another number; \
-             use the input pattern {}",
+            "the first files matched the pattern \"{pattern}\", but in the names of later files, \
+             another number varies; use the input pattern {}",
             patterns.join(" or ")
         )))
     }

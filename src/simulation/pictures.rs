@@ -552,8 +552,9 @@ impl SheetDone {
             }
         };
         Some(format!(
-            "{which}: missing from the contact sheet, because an earlier run made no sheet, and \
-             meniscus cannot read meshes of this format; make {them} again to see {them}"
+            "{which}: missing from the contact sheet, because an earlier run made {them} without a \
+             contact sheet, and meniscus cannot read meshes of this format; make {them} again to \
+             include {them}"
         ))
     }
 }

@@ -195,8 +195,8 @@ fn invalid_cell_counts_and_indices_are_reported_with_their_partition() {
     let data = |of_step: i64| longs(&[0, of_step, 15]);
     let first = |cell: i64| longs(&[0, cell, 0]);
     for (from, to, message) in [
-        (corners(2), corners(4), "partition 3: cell 4 of 5 refers to point 4 of 4"),
-        (corners(2), corners(-1), "partition 3: cell 4 of 5 refers to point -1 of 4"),
+        (corners(2), corners(4), "partition 3: cell 4 refers to point 4, but there are 5 cells"),
+        (corners(2), corners(-1), "partition 3: cell 4 refers to point -1, but there are 5 cells"),
         (ids_of(5), ids_of(4), "partition 3: 5 cells refer to 4 points"),
         (
             ids_of(5),

@@ -507,8 +507,8 @@ fn inconsistent_cells_are_refused_and_damage_never_panics() {
         let whole = with_cells(polydata, &[5, 4, 3, 2, 1, 0], "vtkGhostType", &[1, 0, 0, 1, 0, 0]);
         let name = if polydata { "NumberOfVerts" } else { "NumberOfCells" };
         for (from, to, message) in [
-            (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "refers to point 6 of 6"),
-            (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "refers to point -1 of 6"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 6<", "refers to point 6, but there are 6 cells"),
+            (">5 4 3 2 1 0<", ">5 4 3 2 1 -1<", "refers to point -1, but there are 6 cells"),
             (">5 4 3 2 1 0<", ">5 4 3 2 1<", "6 cells refer to 5 points"),
             (">1 0 0 1 0 0<", ">1 0 0 1 0<", "for each of 6 cells"),
             (

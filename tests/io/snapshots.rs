@@ -112,7 +112,7 @@ fn the_box_and_unit_of_a_header_are_reported_but_not_applied() {
         .unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(
-        text.contains("edges [4.0, 4.0, 4.0]; if fluid leaves through its faces, use --periodic"),
+        text.contains("edges [4.0, 4.0, 4.0]; if fluid that leaves through a face re-enters"),
         "{text}"
     );
     assert!(text.contains("2 ghosts"), "{text}");

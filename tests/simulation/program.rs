@@ -343,7 +343,7 @@ fn a_dry_run_of_a_sequence_prints_estimates_and_writes_nothing() {
     assert!(output.status.success());
     for word in [
         "3 of 3 frames",
-        "missing: 3",
+        "missing frames: 3",
         "particles per cubed spacing",
         ", memory: ",
         "disk: about",

@@ -140,7 +140,8 @@ impl DeviceFrame {
         match fitting.map_or_else(|| made(with_headroom).or_else(|_| made(bytes)), Ok) {
             Ok(pages) => Some(pages),
             Err(error) => {
-                state.warn(format!("{error}; sending the field again for each batch"));
+                state
+                    .warn(format!("{error}; sending the field to the device again for each batch"));
                 None
             }
         }
@@ -197,7 +198,7 @@ impl DeviceState {
         let exhausted = matches!(error, VulkanError::OutOfMemory { .. });
         (self.resident_bytes, self.wide_bytes) = (0, 0);
         if exhausted && had_residents {
-            self.warn(format!("{error}; sending the field again for each batch"));
+            self.warn(format!("{error}; sending the field to the device again for each batch"));
         } else if exhausted && self.batch_bytes / 2 >= SMALLEST_BATCH {
             self.batch_bytes /= 2;
             self.warn(format!(

@@ -128,8 +128,8 @@ pub enum NoEstimate {
     },
     /// Coordinates that are too coarse.
     #[error(
-        "the particles are so far from the origin that single-precision coordinates have steps of \
-         {}, which is too coarse",
+        "the particles are so far from the origin that single precision rounds their coordinates \
+         to multiples of {}, which is too coarse",
         shown(*step)
     )]
     SinglePrecision {

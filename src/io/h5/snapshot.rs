@@ -193,7 +193,7 @@ fn read_piece(
     of: Option<&SnapshotHeader>,
 ) -> Result<ParticleFile, ReadFault> {
     if of.is_some_and(|of| !own.is_like(of)) {
-        return Err(malformed(0, "the header belongs to another snapshot"));
+        return Err(malformed(0, "the header of this file belongs to another snapshot"));
     }
     let index: usize = kind[TYPE.len()..].parse().unwrap_or(usize::MAX);
     let announced = own.in_this_file.get(index).copied().unwrap_or(0);

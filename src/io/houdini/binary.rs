@@ -71,7 +71,9 @@ impl<'a> Binary<'a> {
             0xf2 => u16::from_le_bytes(self.array()?).into(),
             0xf4 => u32::from_le_bytes(self.array()?).into(),
             0xf8 => u64::from_le_bytes(self.array()?),
-            other => return Err(self.fault(format!("a length begins with the byte {other:#x}"))),
+            other => {
+                return Err(self.fault(format!("a length begins with the invalid byte {other:#x}")));
+            }
         })
     }
 
@@ -85,7 +87,7 @@ impl<'a> Binary<'a> {
     fn token(&mut self) -> Result<Rc<str>, ReadFault> {
         let number = self.length()?;
         let known = self.tokens.get(&number).cloned();
-        known.ok_or_else(|| self.fault(format!("text number {number} is not defined")))
+        known.ok_or_else(|| self.fault(format!("string number {number} is not defined")))
     }
 
     fn uniform(&mut self) -> Result<JsonEvent, ReadFault> {

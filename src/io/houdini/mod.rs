@@ -203,7 +203,10 @@ impl OpenedGeometry {
                 JsonNumber::Real(_) => None,
             };
             let point = point.ok_or_else(|| {
-                run.fault(format!("vertex {vertex} refers to point {number} of {points}"))
+                run.fault(format!(
+                    "vertex {vertex} refers to point {number}, but there are {points} points, \
+                     numbered from 0"
+                ))
             })?;
             let word = geometry.particle_vertices.get(vertex / 64).copied().unwrap_or_default();
             if word >> (vertex % 64) & 1 == 0 {

@@ -249,12 +249,15 @@ impl<'a> UnpackedColumns<'a> {
             let part = JsonNumbers { at: 0, storage: Storage::Scalar(scalar), count };
             part.each(stored.into(), endian, |number| {
                 let JsonNumber::Integer(number @ -1..) = number else {
-                    let what = format!("attribute {name}: {number} is not the number of a string");
+                    let what = format!("attribute {name}: {number} is not a valid string index");
                     return Err(run.fault(what));
                 };
                 if number >= texts.len() as i64 {
-                    let what =
-                        format!("attribute {name} refers to string {number} of {}", texts.len());
+                    let what = format!(
+                        "attribute {name} refers to string {number}, but there are {} strings, \
+                         numbered from 0",
+                        texts.len()
+                    );
                     return Err(run.fault(what));
                 }
                 numbers.extend_from_slice(&((number + 1) as u32).to_le_bytes());

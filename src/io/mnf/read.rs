@@ -249,7 +249,9 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
         return Err(ReadFault::Unsupported(what.into()));
     }
     if sizes.is_some() != (version == SIZES_VERSION) {
-        let what = format!("the frame has version {version}, but the flags of another version");
+        let what = format!(
+            "the frame has version {version}, but its flags are the flags of another version"
+        );
         return Err(malformed(footer, what));
     }
     let index = (window.bytes.len() - TAIL).checked_sub(cursor.at());

@@ -393,14 +393,14 @@ fn inconsistent_cell_counts_are_refused() {
                 &flags,
                 "",
                 "",
-                "cell 5 of 6 refers to point 6 of 6",
+                "cell 5 refers to point 6, but there are 6 cells",
             );
             assert_refused(
                 &[5., 4., 3., 2., 1., -1.],
                 &flags,
                 "",
                 "",
-                "cell 5 of 6 refers to point -1 of 6",
+                "cell 5 refers to point -1, but there are 6 cells",
             );
             assert_refused(
                 &order,

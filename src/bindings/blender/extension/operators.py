@@ -147,7 +147,7 @@ class Reread(bpy.types.Operator):
 
 
 class Measure(bpy.types.Operator):
-    """Take the spacing from the file of this frame, or estimate it from its particles, and use it for all frames"""
+    """Read the spacing from the file of this frame, or estimate it from the particles, and use it for all frames"""
 
     bl_idname = "meniscus.measure"
     bl_label = "Measure the Spacing"
@@ -295,10 +295,10 @@ class Convert(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> Done:
         mesh = _active(context)
         if mesh.meniscus.converted == "MESHES" and not bpy.app.build_options.usd:
-            self.report({"ERROR"}, "This Blender is built without USD, which is needed to play the meshes")
+            self.report({"ERROR"}, "This build of Blender lacks USD, which is needed to play the meshes")
             return {"CANCELLED"}
         if mesh.meniscus.output.startswith("//") and not bpy.data.filepath:
-            self.report({"ERROR"}, "Save the .blend file first, or choose another folder for the files: // means the folder of the .blend file")
+            self.report({"ERROR"}, "Save the .blend file first, or choose an output folder without //, which means the folder of the .blend file")
             return {"CANCELLED"}
         try:
             conversion = Conversion(order_of(mesh, context.scene))

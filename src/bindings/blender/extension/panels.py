@@ -42,7 +42,7 @@ class MENISCUS_PT_surface(_Panel, bpy.types.Panel):
         for note in (*status.notes, *status.warnings):
             _sentence(layout, context, note, "INFO")
         if not context.scene.render.use_lock_interface:
-            _sentence(layout, context, "Lock Interface is off in the Render menu: renders of the surface may crash", "ERROR")
+            _sentence(layout, context, "Lock Interface is off in the Render menu, so rendering the surface may crash Blender", "ERROR")
         layout.prop(settings, "source")
         if settings.source == "OBJECT":
             layout.prop(settings, "object")
@@ -111,7 +111,7 @@ class MENISCUS_PT_attributes(_Panel, bpy.types.Panel):
         if mesh.meniscus.source == "FILES":
             layout.prop(mesh.meniscus, "attributes")
         moves = "velocity" in mesh.attributes
-        text = "Motion blur from the attribute velocity" if moves else "No velocity: no motion blur"
+        text = "Motion blur uses the attribute velocity" if moves else "No motion blur, because the surface has no velocities"
         _sentence(layout, context, text, "CHECKMARK" if moves else "INFO")
 
 

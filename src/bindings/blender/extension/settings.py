@@ -49,21 +49,21 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     where: StringProperty(
         name="Where",
-        description="Use only particles whose attributes satisfy a condition: Type=1, mk=0,2 for either value, age<2.5; type=PartType1 for a file with several types",
+        description="Use only particles whose attributes satisfy a condition, such as Type=1, age<2.5 or mk=0,2 (either value); type=PartType1 selects a type in a file",
         update=_changed,
     )
     start: IntProperty(name="Start", description="Frame of the scene at which the sequence starts", default=1, update=_changed)
-    first: IntProperty(name="First", description="Frame number of the file that is shown at the start", default=0, update=_changed)
+    first: IntProperty(name="First", description="Number of the file that is shown when the sequence starts", default=0, update=_changed)
     step: FloatProperty(
         name="Step",
-        description="Frames of the sequence per frame of the scene; below 1 is slow motion, and repeats frames",
+        description="Frames of the sequence per frame of the scene; a value below 1 gives slow motion and repeats frames",
         default=1.0,
         min=0.0,
         update=_changed,
     )
     fps: FloatProperty(
         name="Files per Second",
-        description="Frame rate of the simulation, for motion blur; 0 for the frame rate of the scene",
+        description="Frame rate of the simulation, for motion blur; 0 uses the frame rate of the scene",
         default=0.0,
         min=0.0,
         update=_changed,
@@ -130,7 +130,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     smooth: FloatProperty(
         name="Smoothing",
-        description="Smoothing width in particle spacings, from 0.8 to 4; larger is smoother, 2 is good for noisy FLIP",
+        description="Smoothing width in particle spacings, from 0.8 to 4; larger is smoother, and 2 suits noisy FLIP particles",
         default=SMOOTHING,
         min=0.0,
         soft_min=1.0,
@@ -140,7 +140,7 @@ class MeniscusSurface(bpy.types.PropertyGroup):
     )
     smallest_drop: IntProperty(
         name="Smallest Drop",
-        description="Remove drops with fewer than this many particles, estimated from the drop's volume",
+        description="Remove drops with fewer than this many particles; the number of particles is estimated from the drop's volume",
         default=0,
         min=0,
         soft_max=100,

@@ -39,7 +39,7 @@ def particles_of(source: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tu
         # Do not fall back on the dependency graph of the other mode (viewport or render): during a
         # render, Blender does not update it to the rendered frame.
         where = "in renders" if depsgraph.mode == "RENDER" else "in the viewport"
-        what = f"{source.name} is hidden {where}, so Blender does not compute its vertices: show it (vertices without faces are not drawn)"
+        what = f"{source.name} is hidden {where}, so Blender does not compute its vertices: show it (vertices without faces stay invisible)"
         raise Hidden(what) from None
     points = geometry.pointcloud
     if points is not None and len(points.points):

@@ -159,8 +159,11 @@ impl MeniscusMesh {
     /// Returns the attribute with this index, or an error if there is no such attribute.
     fn attribute(&self, index: usize) -> Outcome<&AttributeInfo> {
         let count = self.names.len();
-        let missing =
-            || Failure::request(format!("no attribute number {index}: the mesh has {count}"));
+        let missing = || {
+            Failure::request(format!(
+                "attribute index {index} is out of range (number of attributes: {count})"
+            ))
+        };
         self.outline.attributes.get(index).ok_or_else(missing)
     }
 
@@ -340,7 +343,8 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
         let vertices = mesh.outline.vertices;
         if vertices > 1 << 32 {
             return Err(Failure::request(format!(
-                "{vertices} vertices exceed 32-bit numbers; use meniscus_mesh_triangles_u64"
+                "the indices of {vertices} vertices do not fit in 32 bits; use \
+                 meniscus_mesh_triangles_u64"
             )));
         }
         // SAFETY: the caller upholds this function's contract.

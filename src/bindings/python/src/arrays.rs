@@ -405,7 +405,7 @@ fn check_device(name: &str, object: &Bound<'_, PyAny>, (kind, _): (i32, i32)) ->
     }
     let device = match object.getattr("device") {
         Ok(device) => device.str()?.to_string(),
-        Err(_) => format!("device of kind {kind}"),
+        Err(_) => format!("a device of DLPack type {kind}"),
     };
     Err(on_device(name, object, &device))
 }

@@ -313,7 +313,9 @@ fn reject_file_keywords(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
         if !value.is_none() && (name == "format" || SIMULATION.contains(&name.as_str())) {
-            return Err(InputError::new_err(format!("{name}: works only with inputs and output")));
+            return Err(InputError::new_err(format!(
+                "{name}: works only if inputs and output are given"
+            )));
         }
     }
     Ok(())

@@ -199,5 +199,5 @@ def test_frames_of_several_inputs_are_joined(tmp_path: Path, program: Any) -> No
     for number in 1, 2:
         ours, theirs = (tmp_path / by / f"{number}.ply" for by in ("ours", "theirs"))
         assert ours.read_bytes() == theirs.read_bytes()
-    with pytest.raises(meniscus.InputError, match="together: works only with inputs and output"):
+    with pytest.raises(meniscus.InputError, match="together: works only if inputs and output are given"):
         meniscus.Simulation(together=True)

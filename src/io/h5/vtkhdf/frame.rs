@@ -163,7 +163,8 @@ pub(super) fn integers(file: &H5File, group: &Group, name: &str) -> Result<Vec<i
 
 /// Converts a count. Returns an error if it is negative.
 pub(super) fn count(value: i64, name: &str) -> Result<u64, ReadFault> {
-    u64::try_from(value).map_err(|_| malformed(0, format!("{name} contains {value}")))
+    u64::try_from(value)
+        .map_err(|_| malformed(0, format!("{name} contains {value}, which is negative")))
 }
 
 /// The first count in row `index` of a data set.
@@ -188,7 +189,7 @@ pub(super) fn entries(
     if entries.len() < least {
         return Err(malformed(
             0,
-            format!("an entry of {name} has {} numbers, expected {least}", entries.len()),
+            format!("a row of {name} has {} numbers, expected {least} or more", entries.len()),
         ));
     }
     entries.into_iter().map(|value| count(value, name)).collect()

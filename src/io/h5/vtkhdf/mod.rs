@@ -176,8 +176,15 @@ fn add_polygons(
         (integers(file, polygons, "Offsets")?, integers(file, polygons, "Connectivity")?);
     let (mut at, mut corner, mut base, mut face) = (0usize, 0usize, 0i64, 0);
     for ((cells, ids), points) in cells.into_iter().zip(ids).zip(points) {
-        let short =
-            || malformed(0, format!("some of {cells} polygons with {ids} corners are missing"));
+        let short = || {
+            malformed(
+                0,
+                format!(
+                    "the arrays Offsets and Connectivity are too short for {cells} polygons with \
+                     {ids} corners"
+                ),
+            )
+        };
         let end = |start: usize, count: u64| start.checked_add(usize::try_from(count).ok()?);
         let ends = end(at, cells).and_then(|last| offsets.get(at..=last)).ok_or_else(short)?;
         let own =

@@ -92,7 +92,7 @@ impl SchemaReader<'_, '_, '_> {
             JsonEvent::List => {}
             JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => return Ok(()),
             other => {
-                return Err(self.json.fault(format!("expected texts, found {}", shown(&other))));
+                return Err(self.json.fault(format!("expected strings, found {}", shown(&other))));
             }
         }
         loop {
@@ -103,7 +103,7 @@ impl SchemaReader<'_, '_, '_> {
                 JsonEvent::Text(text) if texts.len() <= MOST_TEXTS => texts.push(text),
                 JsonEvent::Text(_) => {}
                 other => {
-                    let what = format!("expected a text, found {}", shown(&other));
+                    let what = format!("expected a string, found {}", shown(&other));
                     return Err(self.json.fault(what));
                 }
             }
