@@ -81,12 +81,13 @@ impl AttributeInfo {
     }
 
     /// Whether this is a direction, which rotates with the mesh. Attributes with three components
-    /// are directions, except colours and integers.
+    /// are directions, except colours, texture coordinates and integers.
     pub(crate) fn is_direction(&self) -> bool {
         self.components == 3
             && !self.kind.is_colour()
             && !self.kind.is_whole()
             && !kind::is_colour_name(&self.name)
+            && !matches!(&*self.name, "uv" | "uvw")
     }
 }
 

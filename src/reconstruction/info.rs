@@ -298,7 +298,7 @@ fn particles(path: &Path, settings: &Settings) -> Result<Info, Error> {
     };
     let file = match open_wanted(path, wanted, unpacking) {
         Err(ReadError { path: file, fault: ReadFault::OnlyPrimitives(primitives) })
-            if file == path =>
+            if file == path && settings.conditions().is_empty() =>
         {
             return geometry(file, primitives, unpacking).map(Info::Geometry);
         }

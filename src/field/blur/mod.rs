@@ -75,7 +75,7 @@ impl Weights {
     }
 
     /// The variance, in squared cells, that this Gaussian had before it was cut off, and the factor
-    /// by which the cut increased the weights that remain.
+    /// by which the remaining weights exceed those of the whole Gaussian.
     pub fn before_cut(&self) -> (f64, f64) {
         let [centre, next] = [0, 1].map(|k: usize| f64::from(self.half[k]) / f64::from(UNIT));
         let variance = 0.5 / libm::log(centre / next);
@@ -138,6 +138,19 @@ mod tests {
                 "{variance}: {}",
                 weights.variance()
             );
+        }
+    }
+
+    #[test]
+    fn the_variance_before_the_cut_follows_from_the_first_two_weights() {
+        for variance in [1.0, 2.3, 5.5] {
+            // At this reach, the cut hardly changes the Gaussian.
+            let (before, higher) = Weights::of_variance(variance, 16).before_cut();
+            assert!((before / variance - 1.0).abs() < 0.01, "{variance}: {before}");
+            assert!((higher - 1.0).abs() < 0.01, "{variance}: {higher}");
+            let reach = (2.0 * f64::sqrt(variance)).ceil() as i32;
+            let (before, higher) = Weights::of_variance(variance, reach).before_cut();
+            assert!(before > 1.02 * variance && higher > 1.002, "{variance}: {before}, {higher}");
         }
     }
 

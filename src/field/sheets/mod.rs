@@ -30,8 +30,8 @@
 //!    of a stretching sheet then changes slowly.
 //! 5. Certainty. There is a sheet under three conditions: neighbours are no farther apart than
 //!    requested, according to the density at the middle; the middle is near; and B is nearly a
-//!    projection. The squared distance |B - B^2|^2 is at most 0.04 in sheets, in filaments and at
-//!    their rims, and often three times as large in spray. At the corners of a sheet, this distance is as
+//!    projection. The squared distance |B - B^2|^2 is at most 0.06 in sheets, in filaments and at
+//!    their rims, and often twice as large in spray. At the corners of a sheet, this distance is as
 //!    large as in spray, and the middle seems far away. But at corners, det(I - B), the product of
 //!    the particles' variances, shows that the particles lie in a plane, so the limits for the
 //!    distance from a projection and for the middle are wider there. A thick body (T < 0.4), its
@@ -119,7 +119,7 @@ pub const WEIGHT_BITS: u32 = 15;
 /// to this value before they are smoothed.
 pub const LEAST_WEIGHT: u32 = 128;
 /// The range of the squared distance of B from a projection in which drops replace sheets.
-pub const IMPURE: Ramp = ramp([0.04, 0.06]);
+pub const IMPURE: Ramp = ramp([0.06, 0.09]);
 /// The factor that converts the squared distance of B from a projection to the degree to which a
 /// cell is part of a rim. The degree is 1 if the squared distance is at least 1 / 16.
 pub const BY_RIM: i32 = 16;

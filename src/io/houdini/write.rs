@@ -324,7 +324,7 @@ mod tests {
     #[test]
     fn houdini_rotates_velocities_and_forces_but_not_colours() {
         let positions = vec![[0.0; 3]];
-        let names = [("velocity", 3), ("force", 3), ("Cd", 3), ("pressure", 1)];
+        let names = [("velocity", 3), ("force", 3), ("Cd", 3), ("uv", 3), ("pressure", 1)];
         let attributes =
             names.map(|(name, width)| VertexAttribute::new(name, width, vec![0.5; width]));
         let mesh = Mesh { positions, attributes: attributes.into(), ..Mesh::default() };
@@ -337,6 +337,7 @@ mod tests {
             ("v", "vector"),
             ("force", "vector"),
             ("Cd", "color"),
+            ("uv", ""),
             ("pressure", ""),
         ];
         assert_eq!(meanings, expected.map(|(name, meaning)| (name.to_owned(), meaning)));
