@@ -125,7 +125,7 @@ pub const IMPURE: Ramp = ramp([0.06, 0.09]);
 pub const BY_RIM: i32 = 16;
 /// The range of det(I - B) in which `IMPURE_IF_FLAT` and `BEYOND_IF_FLAT` fade out, because the
 /// particles no longer lie in a plane.
-pub const FLAT: Ramp = ramp([0.01, 0.05]);
+pub const FLAT: Ramp = ramp([0.005, 0.03]);
 /// The range of det(I - B) in which sheets fade out at the surface of a thick body.
 pub const THICK: Ramp = ramp([0.2, 0.35]);
 /// The increase of both limits of [`IMPURE`] where particles lie in a plane.
