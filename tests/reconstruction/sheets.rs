@@ -109,6 +109,40 @@ fn sheets_stretched_to_1_9_spacings_stay_whole_and_keep_their_volume() {
 }
 
 #[test]
+fn curved_sheets_and_distant_layers_stay_whole() {
+    const RADIUS: f64 = 6.0;
+    let mut random = Random::new(5);
+    let mut jittered = |place: DVec3, most: f64| {
+        let jitter = DVec3::from([(); 3].map(|()| 2.0 * most * random.unit() - most));
+        (place + jitter).to_array()
+    };
+    // Golden angles spread the particles of a shell evenly, 1.6 spacings apart.
+    let count = (2.0 * TAU * RADIUS * RADIUS / (1.6 * 1.6)) as u32;
+    let shell: Vec<[f64; 3]> = (0..count)
+        .map(|i| {
+            let i = f64::from(i) + 0.5;
+            let height = 1.0 - 2.0 * i / f64::from(count);
+            let (sin, cos) = (2.399_963 * i).sin_cos();
+            let across = (1.0 - height * height).sqrt();
+            jittered(RADIUS * DVec3::new(across * cos, across * sin, height), 0.1)
+        })
+        .collect();
+    // A shell has an outer and an inner surface.
+    let found = measured(&shell, 0.25, 2.15);
+    assert_eq!((found.components, found.genus), (2, Some(0)), "a shell");
+
+    let turn = DMat3::from_euler(glam::EulerRot::XYZ, 0.7, 0.4, 0.3);
+    let layers: Vec<[f64; 3]> = (0..2 * EDGE * EDGE)
+        .map(|i| {
+            let [x, y, z] = [i % EDGE, i / EDGE % EDGE, i / (EDGE * EDGE)].map(f64::from);
+            jittered(turn * DVec3::new(1.6 * x, 1.6 * y, z), 0.15)
+        })
+        .collect();
+    let found = measured(&layers, 0.25, 2.15);
+    assert_eq!((found.components, found.genus), (1, Some(0)), "two layers a spacing apart");
+}
+
+#[test]
 fn a_sheet_stretched_beyond_the_limit_breaks_into_drops() {
     let particles = sheet(1, 2.6, &mut Random::new(3));
     let found = measured(&particles, 0.25, 2.15);
