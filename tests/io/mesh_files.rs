@@ -341,7 +341,7 @@ fn invalid_obj_lines_are_reported_with_their_number() {
     for (tail, expected) in [
         ("v 1 2", "line 4: expected a number, found the end of the line"),
         ("v 1 2 x", "line 4: expected a number, found \"x\""),
-        ("f 1 2", "line 4: a face has 2 corners"),
+        ("f 1 2", "line 4: a face has 2 corners, expected 3 or more"),
         ("f 1 2 4", "line 4: vertex 4 is not defined: only 3 are defined so far"),
         ("f 1 2 0", "line 4: vertex 0 is not defined: only 3 are defined so far"),
         ("f 1 2 -4", "line 4: vertex -4 is not defined: only 3 are defined so far"),

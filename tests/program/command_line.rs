@@ -439,7 +439,7 @@ fn the_default_memory_budget_respects_ulimit() {
         in_shell(folder.path(), "ulimit -v 400000", "reconstruct ball.xyz -o out.ply --dry-run");
     let plan = String::from_utf8_lossy(&run.stdout);
     let budget: Option<f64> =
-        plan.split(" of ").find_map(|rest| rest.split_once(" MiB (")?.0.parse().ok());
+        plan.split(" of the ").find_map(|rest| rest.split_once(" MiB limit")?.0.parse().ok());
     assert!(budget.is_some_and(|mib| mib < 0.75 * 400_000.0 / 1024.0), "{plan}");
 }
 
