@@ -70,19 +70,19 @@ impl<const LANES: usize> Triangles<LANES> {
             let u = start[0][i] + along_x[0][i] * x + along_y[0][i] * y + z * along_z[0][i];
             let v = start[1][i] + along_x[1][i] * x + along_y[1][i] * y + z * along_z[1][i];
             let height = start[2][i] + along_x[2][i] * x + along_y[2][i] * y + z * along_z[2][i];
+            // The squared distance from an edge, and the distance from the edge's line.
+            let from_edge = |x: f32, along_x: f32, along_y: f32, length: f32| {
+                let along = x * along_x + v * along_y;
+                let across = v * along_x - x * along_y;
+                let beyond = along - less(greater(along, 0.0), length);
+                (beyond * beyond + across * across, across)
+            };
             let beyond = u - less(greater(u, 0.0), self.length[i]);
             let first_squared = beyond * beyond + v * v;
-
-            let w = u - self.length[i];
-            let along = w * second[0][i] + v * second[1][i];
-            let left_of_second = v * second[0][i] - w * second[1][i];
-            let beyond = along - less(greater(along, 0.0), second[2][i]);
-            let second_squared = beyond * beyond + left_of_second * left_of_second;
-
-            let along = u * third[0][i] + v * third[1][i];
-            let left_of_third = v * third[0][i] - u * third[1][i];
-            let beyond = along - less(greater(along, 0.0), third[2][i]);
-            let third_squared = beyond * beyond + left_of_third * left_of_third;
+            let (second_squared, left_of_second) =
+                from_edge(u - self.length[i], second[0][i], second[1][i], second[2][i]);
+            let (third_squared, left_of_third) =
+                from_edge(u, third[0][i], third[1][i], third[2][i]);
 
             let is_inside = less(less(v, left_of_second), -left_of_third) >= 0.0;
             let nearest_edge = less(less(first_squared, second_squared), third_squared);
