@@ -191,8 +191,8 @@ impl<'a> CalibratedFrame<'a> {
     /// share, but at least [`BLOCKS_PER_THREAD`] per thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
-        // Wide attributes have so many components that they are much larger than the mesh. They are
-        // added after meshing, to a few blocks at a time.
+        // Wide attributes need much more memory than the mesh, so they are added after meshing, to a
+        // few blocks at a time.
         let wide = are_wide(spool.components().iter().copied());
         let finish = |block: &mut BlockMesh| if wide { Ok(()) } else { self.carry(block) };
         let least = BLOCKS_PER_THREAD * rayon::current_num_threads();
