@@ -249,7 +249,9 @@ pub mod mesh {
     pub use crate::surface::mesh::check::{CheckReport, Defects, Topology, check};
     pub use crate::surface::mesh::compare::{Comparison, Distances, Side, compare};
     pub use crate::surface::mesh::measure::{Measures, Quality, measure};
-    pub use crate::surface::mesh::source::{Indexed, MeshSource, Outline, Vertices};
+    pub use crate::surface::mesh::source::{
+        Corners, Indexed, Lattice, MeshSource, Outline, PieceOutline, Vertices,
+    };
     pub use crate::surface::mesh::{Mesh, VertexAttribute};
 }
 

@@ -315,6 +315,11 @@ impl MemoryEstimate {
         if self.carried { self.particles } else { 0 }
     }
 
+    /// Whether the surface exceeds its share of memory under a plan, so that it goes to a file.
+    pub fn has_surface_in_files(&self, plan: MemoryPlan) -> bool {
+        matches!(plan, MemoryPlan::OutOfCore(shares) if self.surface > shares.surface)
+    }
+
     /// Maximum disk space, in bytes, of scratch files under a plan.
     pub fn scratch(&self, plan: MemoryPlan) -> u64 {
         let MemoryPlan::OutOfCore(shares) = plan else { return 0 };

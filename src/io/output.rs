@@ -195,10 +195,8 @@ impl MeshFormat {
     pub(crate) fn readings(self, mesh: &dyn MeshSource) -> usize {
         let arrays = 1 + usize::from(mesh.has_normals()) + mesh.attributes().len();
         match self {
-            Self::Ply | Self::Obj | Self::Stl => 2,
-            // Reads vertices and triangles once, and then reads the vertices again for the
-            // attributes.
-            Self::Vdb { .. } => 2 + vdb::attribute_readings(&mesh.attributes()),
+            // For a large .vdb, the pieces between two parts are read twice, which is not counted.
+            Self::Ply | Self::Obj | Self::Stl | Self::Vdb { .. } => 2,
             // Reads the vertices for each array, up to twice for a colour, and the triangles once.
             Self::BgeoSc => arrays + 2,
             // Reads the vertices for each array, and the triangles once.

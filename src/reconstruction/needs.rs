@@ -12,6 +12,7 @@ use crate::grid::stretch::{Stretch, WantedBins};
 use crate::grid::{MortonKey, block_of_bin};
 use crate::io::ParticleFile;
 use crate::io::output::MeshFormat;
+use crate::io::vdb;
 use crate::surface::simplify::BYTES_PER_THREAD;
 use crate::system::timings::Timings;
 
@@ -21,9 +22,6 @@ use super::opened::{Input, OpenedFrame};
 /// Minimum number of particles in the sample. A frame with up to twice as many particles is sampled
 /// and meshed completely.
 const SAMPLE: usize = 200_000;
-
-/// Bytes of memory for each vertex of a mesh that is written as a level set with its velocity.
-const LEVEL_SET_BYTES: u64 = 120;
 
 /// Resources that a frame needs, estimated before sampling.
 #[derive(Debug, Clone)]
@@ -46,7 +44,7 @@ pub struct Needs {
     /// Additional bytes for simplifying, if it is requested: first the bytes that must be in
     /// memory, then the bytes that can be in memory or in scratch files.
     pub simplifying: Option<[u64; 2]>,
-    /// Additional memory, in bytes, of the writer, if it holds the whole mesh in memory.
+    /// Additional memory, in bytes, of the writer, if it needs memory beyond the limit.
     pub writing: Option<u64>,
     /// Approximate number of triangles before simplifying: exact for a small frame, estimated from
     /// the counted particles for a large one.
@@ -99,20 +97,25 @@ impl OpenedFrame {
         // Each of the two passes of simplifying holds every remaining triangle as three 64-bit
         // numbers.
         let simplified = [BYTES_PER_THREAD * checked.threads as u64, 3 * estimate.surface];
-        let holds_whole_mesh = checked.settings.holds_whole_mesh(format);
+        let [writing, writing_scratch] = match format {
+            MeshFormat::Vdb { .. } => {
+                let is_whole = checked.reduction.tolerance.is_some();
+                let in_files = (!is_whole).then(|| estimate.has_surface_in_files(plan));
+                vdb::writing_bytes(estimate.in_finest_cells, in_files)
+            }
+            _ if checked.settings.holds_whole_mesh(format) => [3 * estimate.surface, 0],
+            _ => [0, 0],
+        };
         Ok(Some(Needs {
             census,
             cell_size: sampling.grid.cell_size(),
             budget: resources.budget.0 + solids,
             memory: estimate.peak(plan) + solids,
             in_core: estimate.in_core() + solids,
-            scratch: file.particles.scratch_bytes() + estimate.scratch(plan),
+            scratch: file.particles.scratch_bytes() + estimate.scratch(plan) + writing_scratch,
             scratch_folder: resources.scratch.clone(),
             simplifying: checked.reduction.tolerance.map(|_| simplified),
-            writing: holds_whole_mesh.then(|| match format {
-                MeshFormat::Vdb { .. } => LEVEL_SET_BYTES * estimate.in_finest_cells,
-                _ => 3 * estimate.surface,
-            }),
+            writing: (writing > 0).then_some(writing),
             triangles,
             disk: mesh_bytes(triangles / 2, triangles),
             seconds,

@@ -4,6 +4,7 @@
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::{self, Read};
+use std::path::{Path, PathBuf};
 
 use half::f16;
 use meniscus::files::{GridInfo, Info, VolumeInfo, info};
@@ -311,10 +312,11 @@ impl Grid {
     }
 }
 
-/// A mesh whose source also provides the lattice of its samples.
+/// A mesh whose source also provides the lattice of its samples, and a folder for scratch files.
 struct OnLattice {
     mesh: Mesh,
     lattice: Option<Lattice>,
+    folder: Option<PathBuf>,
 }
 
 impl MeshSource for OnLattice {
@@ -327,12 +329,15 @@ impl MeshSource for OnLattice {
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
         self.mesh.triangles(piece)
     }
+    fn scratch_folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
+    }
 }
 
 const LATTICE: Lattice = Lattice { origin: [0.03, -0.51, 7.0], step: 0.1 };
 
 fn on_lattice(mesh: Mesh) -> OnLattice {
-    OnLattice { mesh, lattice: Some(LATTICE) }
+    OnLattice { mesh, lattice: Some(LATTICE), folder: None }
 }
 
 fn written(mesh: &dyn MeshSource, zip: bool) -> Vec<u8> {
@@ -569,12 +574,34 @@ fn attributes_are_grids_of_their_values_at_the_nearest_point() {
     }
 }
 
-#[test]
-fn compression_changes_no_value() {
+/// A ball with velocities that exceed the range of half precision.
+fn fast_ball() -> OnLattice {
     let mut mesh = moved(&sphere(1.0, 4), [0.0, 0.0, 7.0]);
     let values = (0..mesh.positions.len()).flat_map(|i| [i as f32, 0.5, -1e6]).collect();
     mesh.attributes = vec![VertexAttribute::new("velocity", 3, values)];
-    let mesh = on_lattice(mesh);
+    on_lattice(mesh)
+}
+
+#[test]
+fn scratch_files_change_no_byte_and_a_missing_folder_is_an_error() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut mesh = fast_ball();
+    let values = (0..mesh.mesh.positions.len()).map(|i| i as f32 / 7.0).collect();
+    mesh.mesh.attributes.push(VertexAttribute::new("heat", 1, values));
+    let expected = [false, true].map(|zip| written(&mesh, zip));
+    mesh.folder = Some(folder.path().to_owned());
+    assert!([false, true].map(|zip| written(&mesh, zip)) == expected);
+    assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
+    mesh.folder = Some(folder.path().join("missing"));
+    let mut bytes = Vec::new();
+    let write = MeshFormat::Vdb { zip: false }.write(&mut bytes, &mesh, CoordinateWidth::F32);
+    assert_eq!(write.unwrap_err().kind(), io::ErrorKind::NotFound);
+    assert!(bytes.is_empty());
+}
+
+#[test]
+fn compression_changes_no_value() {
+    let mesh = fast_ball();
     let [plain, zipped] = [false, true].map(|zip| written(&mesh, zip));
     assert!(zipped.len() < plain.len());
     for (plain, zipped) in decoded(&plain).iter().zip(decoded(&zipped)) {
@@ -585,7 +612,6 @@ fn compression_changes_no_value() {
             assert_eq!(leaf.values, zipped.leaves[corner].values);
         }
     }
-    // These velocities exceed the range of half precision.
     assert_eq!(decoded(&plain)[1].tree, "Tree_vec3s_5_4_3");
 }
 
@@ -647,7 +673,8 @@ fn only_unusual_names_of_grids_are_reported() {
 fn a_mesh_without_triangles_is_a_grid_without_voxels() {
     for lattice in [None, Some(LATTICE)] {
         for zip in [false, true] {
-            let grids = decoded(&written(&OnLattice { mesh: Mesh::default(), lattice }, zip));
+            let grids =
+                decoded(&written(&OnLattice { mesh: Mesh::default(), lattice, folder: None }, zip));
             assert_eq!(grids.len(), 1);
             assert!(grids[0].active().is_empty() && grids[0].tiles.is_empty());
         }
@@ -659,7 +686,7 @@ fn a_mesh_without_a_lattice_or_with_a_nan_coordinate_makes_no_file() {
     let cube = cuboid([0.0; 3], [1.0; 3]);
     let mut broken = cube.clone();
     broken.positions[3][1] = f64::NAN;
-    for mesh in [OnLattice { mesh: cube, lattice: None }, on_lattice(broken)] {
+    for mesh in [OnLattice { mesh: cube, lattice: None, folder: None }, on_lattice(broken)] {
         let mut bytes = Vec::new();
         let format = MeshFormat::Vdb { zip: false };
         let fault = format.write(&mut bytes, &mesh, CoordinateWidth::F32).unwrap_err();

@@ -15,7 +15,7 @@ use meniscus::internals::brick::BrickSide;
 use meniscus::internals::frame::{Engine, FrameError, Sampling};
 use meniscus::internals::particles::AttributeInfo;
 use meniscus::internals::system::timings::Timings;
-use meniscus::mesh::Mesh;
+use meniscus::mesh::{Mesh, MeshSource, PieceOutline};
 use meniscus::{
     Cause, Error, IndicatorKind, KernelMethod, MemoryBudget, Particles, PeriodicMesh,
     Reconstruction, Surface,
@@ -283,7 +283,7 @@ impl Frame {
             return None;
         }
         let facts = &surface.report().facts;
-        let mut wrong = watertight::defect(mesh);
+        let mut wrong = watertight::defect(mesh).or_else(|| outline_defect(surface.mesh()));
         let six_volumes: f64 = mesh
             .triangles
             .iter()
@@ -335,6 +335,25 @@ impl Frame {
         }
         wrong
     }
+}
+
+/// Describes a piece whose outline is wrong, if any.
+fn outline_defect(mesh: &dyn MeshSource) -> Option<String> {
+    let pieces: Vec<_> = (0..mesh.pieces()).map(|piece| mesh.vertices(piece).unwrap()).collect();
+    let positions: Vec<_> = pieces.iter().flat_map(|piece| piece.positions.to_vec()).collect();
+    (0..mesh.pieces()).find_map(|piece| {
+        let triangles = mesh.triangles(piece).unwrap();
+        let PieceOutline { bounds, vertices, triangles: count } = mesh.piece_outline(piece)?;
+        let [lo, hi] = bounds.map(DVec3::from);
+        let is_within = |&vertex: &u64| {
+            let position = DVec3::from(positions[vertex as usize]);
+            position.cmpge(lo).all() && position.cmple(hi).all()
+        };
+        let is_right = [vertices, count]
+            == [pieces[piece].positions.len(), triangles.len()].map(|n| n as u64)
+            && triangles.iter().flatten().all(is_within);
+        (!is_right).then(|| format!("the outline of piece {piece} is wrong: {bounds:?}"))
+    })
 }
 
 /// Returns the mesh or the error message of a frame. All reconstructions of a frame must have the

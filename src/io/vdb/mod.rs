@@ -15,10 +15,10 @@
 //! changes a distance by less than 0.002 voxels. Only values in the band are stored. With
 //! compression, zlib also encodes them.
 //!
-//! The writer keeps in memory the positions and triangles of the mesh, the distances and nearest
-//! triangles of all voxels in the band, and up to 16 values per vertex. With compression, it also
-//! keeps one encoded grid. This module also reads the metadata of grids, including those in files
-//! of other programs.
+//! The writer reads the mesh in parts, and keeps all values of the band in memory or, if the mesh
+//! exceeds the memory limit, in scratch files. With compression, it also keeps one encoded grid in
+//! memory. This module also reads the metadata of grids, including those in files of other
+//! programs.
 
 mod archive;
 mod read;
@@ -27,15 +27,20 @@ mod values;
 
 use std::io::{self, Write};
 use std::ops::Range;
+use std::path::Path;
 
 use glam::IVec3;
+use half::f16;
 use rayon::prelude::*;
 
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
-use crate::surface::level_set::{BAND, Leaf, LevelSet, NearestPoint, VOXELS, lattice_of};
+use crate::surface::level_set::{
+    BAND, Leaf, NearestPoint, VOXELS, for_each_part, lattice_of, part_bytes,
+};
 use crate::surface::mesh::source::{Lattice, MeshSource};
+use crate::system::scratch::Lists;
 
-use super::encode::{in_order, write_pieces};
+use super::encode::write_pieces;
 use super::names::unique_names;
 use archive::{CONTRAVARIANT_RELATIVE, GridHead, INVARIANT, header};
 pub use read::{GridInfo, read_grids};
@@ -50,8 +55,10 @@ pub const HOUDINI_NAMES: [&str; 2] = ["v", "Cd"];
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
 /// Velocities are stored in half precision if their greatest absolute component is in this range.
 const HALF_VELOCITIES: Range<f32> = 1e-2..6e4;
-/// Maximum number of values per vertex that are in memory at the same time.
-const NUMBERS_AT_ONCE: usize = 16;
+/// Approximate number of voxels in the band for each vertex of a mesh.
+const VOXELS_PER_VERTEX: u64 = 6;
+/// Approximate number of bytes for each vertex that the masks of the leaves take.
+const LEAF_BYTES_PER_VERTEX: u64 = 4;
 /// Number of leaves that are encoded together.
 const LEAVES_PER_CHUNK: usize = 64;
 
@@ -63,19 +70,18 @@ struct AttributeGrid {
     components: Range<usize>,
 }
 
-/// The values of one or more components of an attribute at all vertices.
-struct AttributeValues {
-    components: Range<usize>,
-    kind: AttributeKind,
-    values: Vec<f32>,
+/// The values of all grids at the active voxels, block by block, in memory or in scratch files.
+struct StoredValues {
+    /// The distances, encoded as in the file.
+    distances: Lists<u8>,
+    /// For each grid of an attribute, its numbers.
+    grids: Vec<Lists<f32>>,
 }
 
-/// The distances and nearest triangles of a block's active voxels, leaf by leaf.
-struct StoredBlock {
-    /// The distances, encoded as in the file.
+/// The values of a block's active voxels, leaf by leaf.
+struct BlockValues {
     distances: Vec<u8>,
-    /// The nearest triangles. Empty for a mesh without attributes.
-    triangles: Vec<u32>,
+    grids: Vec<Vec<f32>>,
 }
 
 /// A leaf, and where the values of its active voxels are stored.
@@ -84,6 +90,14 @@ struct StoredLeaf {
     block: u32,
     /// The index of the leaf's first active voxel among the active voxels of the block.
     first: u32,
+}
+
+/// The inputs of an identifier of the file. It does not depend on the order in which blocks are
+/// added.
+#[derive(Default)]
+struct FileId {
+    /// For each block, the first voxel of its first leaf, and the checksum of its distances.
+    blocks: Vec<([i32; 3], u32)>,
 }
 
 /// Writes the grids of a file in order.
@@ -102,12 +116,22 @@ struct GridWriter<'a> {
     bounds: [IVec3; 2],
 }
 
+/// Approximate memory, and size of scratch files, in bytes, for writing a mesh with its velocity.
+/// `in_files` says whether the mesh is in files because it exceeds the memory limit, or `None` that
+/// it was simplified.
+pub fn writing_bytes(vertices: u64, in_files: Option<bool>) -> [u64; 2] {
+    let memory = part_bytes(vertices, in_files) + LEAF_BYTES_PER_VERTEX * vertices;
+    let of_voxel = size_of::<f16>() + size_of::<[f32; 3]>();
+    let values = VOXELS_PER_VERTEX * of_voxel as u64 * vertices;
+    if in_files == Some(true) { [memory, values] } else { [memory + values, 0] }
+}
+
 /// Writes a closed mesh as a level set, with a grid for each attribute.
 ///
 /// # Errors
-/// The errors of `mesh`, `out` and [`LevelSet::new`], and [`io::ErrorKind::InvalidInput`] for a
-/// mesh with triangles but without a lattice. The errors of [`LevelSet::new`] and the error for the
-/// missing lattice occur before anything is written.
+/// The errors of `mesh`, `out` and [`for_each_part`], the errors of scratch files, and
+/// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice. Only the errors
+/// of `out` and of scratch files occur after something was written.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
     let outline = mesh.outline();
     let lattice = lattice_of(&outline).ok_or_else(|| {
@@ -118,142 +142,196 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
         )
     })?;
     let attributes = outline.attributes;
-    let level_set = LevelSet::new(mesh, lattice)?;
+    let grids = attribute_grids(&attributes);
     let distance = Kind::Distance { half: HALF_SIZES.contains(&lattice.step) };
-    let stored = |leaves| {
-        mesh.go_on()?;
-        Ok(StoredBlock::new(leaves, distance, lattice, !attributes.is_empty()))
-    };
-    let blocks = level_set.map(stored)?;
-    let count = blocks.iter().map(|(_, leaves)| leaves.len()).sum();
-    let mut leaves: Vec<StoredLeaf> = Vec::with_capacity(count);
-    let mut all = Vec::with_capacity(blocks.len());
-    for (number, (block, of_block)) in (0..).zip(blocks) {
-        leaves.extend(of_block.into_iter().map(|leaf| StoredLeaf { block: number, ..leaf }));
-        all.push(block);
-    }
-    let blocks: Vec<StoredBlock> = all;
+    let mut values = StoredValues::new(grids.len(), mesh.scratch_folder())?;
+    let (mut leaves, mut id): (Vec<StoredLeaf>, FileId) = Default::default();
+    let mut greatest = vec![0.0; grids.len()];
+    for_each_part(mesh, lattice, |part| {
+        for (greatest, grid) in greatest.iter_mut().zip(&grids) {
+            if attributes[grid.attribute].is_velocity() {
+                *greatest =
+                    greater(*greatest, greatest_magnitude(&part.attributes[grid.attribute]));
+            }
+        }
+        let put = |grid: &AttributeGrid, to: &mut Vec<f32>, point| {
+            let info = &attributes[grid.attribute];
+            put_values(to, info, &part.attributes[grid.attribute], &grid.components, point);
+        };
+        let stored = |leaves| {
+            mesh.go_on()?;
+            Ok(BlockValues::new(
+                leaves,
+                distance,
+                lattice,
+                |voxel, triangle, to: &mut [Vec<f32>]| {
+                    let point = part.nearest_point(triangle, voxel);
+                    grids.iter().zip(to).for_each(|(grid, to)| put(grid, to, point));
+                },
+                grids.len(),
+            ))
+        };
+        for (block, of_block) in part.map(stored)? {
+            let Some(first) = of_block.first() else { continue };
+            id.add(first.tree.corner, &block.distances);
+            let number = values.push(block)?;
+            leaves.extend(of_block.into_iter().map(|leaf| StoredLeaf { block: number, ..leaf }));
+        }
+        Ok(())
+    })?;
     leaves.par_sort_unstable_by_key(|leaf| sort_key(leaf.tree.corner));
     let all_bounds = leaves.par_iter().filter_map(|leaf| leaf.tree.bounds());
     let bounds = all_bounds.reduce_with(|[a, b], [c, d]| [a.min(c), b.max(d)]).unwrap_or_default();
     let voxels = leaves.iter().map(|leaf| leaf.tree.active_count() as u64).sum();
 
-    let grids = attribute_grids(&attributes);
-    let head = header(id(&blocks, &leaves, voxels), 1 + grids.len());
+    let head = header(id.of_file(&leaves, voxels), 1 + grids.len());
     out.write_all(&head)?;
     let at = head.len() as u64;
     let mut writer = GridWriter { out, at, mesh, lattice, zip, leaves: &leaves, voxels, bounds };
     let size = distance.bytes();
     writer.write(SURFACE, distance, None, |leaf, out| {
-        let distances = &blocks[leaf.block as usize].distances[leaf.first as usize * size..];
-        out.extend(&distances[..leaf.tree.active_count() * size]);
+        out.extend_from_slice(&values.distances.items(leaf.block as usize, leaf.range(size))?);
+        Ok(())
     })?;
-    for grids in grid_batches(&grids) {
-        let values = AttributeValues::read(mesh, grids)?;
-        for grid in grids {
-            let info = &attributes[grid.attribute];
-            let kind = values.kind_of(grid, info);
-            let vectors = if info.is_direction() { CONTRAVARIANT_RELATIVE } else { INVARIANT };
-            let vector_type = (grid.components.len() == 3).then_some(vectors);
-            writer.write(&grid.name, kind, vector_type, |leaf, out| {
-                let triangles = &blocks[leaf.block as usize].triangles[leaf.first as usize..];
-                let mut numbers = Vec::with_capacity(VOXELS * grid.components.len());
-                for (voxel, &triangle) in leaf.tree.active_voxels().zip(triangles) {
-                    values.put(&mut numbers, grid, level_set.nearest_point(triangle, voxel));
-                }
-                kind.put_all(out, &numbers);
-            })?;
-        }
+    for ((grid, numbers), greatest) in grids.iter().zip(&values.grids).zip(greatest) {
+        let info = &attributes[grid.attribute];
+        let kind = kind_of(grid, info, greatest);
+        let vectors = if info.is_direction() { CONTRAVARIANT_RELATIVE } else { INVARIANT };
+        let vector_type = (grid.components.len() == 3).then_some(vectors);
+        writer.write(&grid.name, kind, vector_type, |leaf, out| {
+            let range = leaf.range(grid.components.len());
+            kind.put_all(out, &numbers.items(leaf.block as usize, range)?);
+            Ok(())
+        })?;
     }
     Ok(())
 }
 
-impl StoredBlock {
+impl StoredValues {
+    /// Prepares to store the distances and the values of `grids` grids, in scratch files in
+    /// `folder` if there is one.
+    fn new(grids: usize, folder: Option<&Path>) -> io::Result<Self> {
+        let mut distances = Lists::in_memory();
+        let mut grids: Vec<_> = (0..grids).map(|_| Lists::in_memory()).collect();
+        if let Some(folder) = folder {
+            distances.move_to_file(folder)?;
+            grids.iter_mut().try_for_each(|grid| grid.move_to_file(folder))?;
+        }
+        Ok(Self { distances, grids })
+    }
+
+    /// Adds the values of a block, and returns its number.
+    fn push(&mut self, BlockValues { distances, grids }: BlockValues) -> io::Result<u32> {
+        let number = self.distances.len() as u32;
+        self.distances.push(distances)?;
+        self.grids.iter_mut().zip(grids).try_for_each(|(all, of_block)| all.push(of_block))?;
+        Ok(number)
+    }
+}
+
+impl BlockValues {
+    /// Collects the values of a block with `grids` grids of attributes, and its leaves. `put`
+    /// appends the numbers of a voxel, whose nearest triangle it gets, to the numbers of each grid.
     fn new(
         leaves: Vec<Leaf>,
         distance: Kind,
         lattice: Lattice,
-        with_triangles: bool,
+        put: impl Fn(IVec3, u32, &mut [Vec<f32>]),
+        grids: usize,
     ) -> (Self, Vec<StoredLeaf>) {
-        let (mut distances, mut triangles) = (Vec::new(), Vec::new());
+        let (mut distances, mut grids) = (Vec::new(), vec![Vec::new(); grids]);
         let (size, mut end) = (lattice.step as f32, 0);
         let leaf = |leaf: Leaf| {
-            let of_leaf: Vec<f32> = leaf.distances.iter().map(|voxels| voxels * size).collect();
+            let Leaf { corner, active, inside, distances: in_voxels, triangles } = leaf;
+            let of_leaf: Vec<f32> = in_voxels.iter().map(|voxels| voxels * size).collect();
             distance.put_all(&mut distances, &of_leaf);
-            if with_triangles {
-                triangles.extend(&leaf.triangles);
+            let tree = TreeLeaf { corner, active, inside };
+            if !grids.is_empty() {
+                let voxels = tree.active_voxels().zip(triangles);
+                voxels.for_each(|(voxel, triangle)| put(voxel, triangle, &mut grids));
             }
             let first = end;
-            end += leaf.distances.len() as u32;
-            let Leaf { corner, active, inside, .. } = leaf;
-            StoredLeaf { tree: TreeLeaf { corner, active, inside }, block: 0, first }
+            end += in_voxels.len() as u32;
+            StoredLeaf { tree, block: 0, first }
         };
         let leaves = leaves.into_iter().map(leaf).collect();
         distances.shrink_to_fit();
-        triangles.shrink_to_fit();
-        (Self { distances, triangles }, leaves)
+        grids.iter_mut().for_each(Vec::shrink_to_fit);
+        (Self { distances, grids }, leaves)
     }
 }
 
-impl AttributeValues {
-    /// Reads the components that `grids` contain. All grids must belong to the same attribute.
-    fn read(mesh: &dyn MeshSource, grids: &[AttributeGrid]) -> io::Result<Self> {
-        let attribute = grids[0].attribute;
-        let AttributeInfo { components: stride, kind, .. } = mesh.attributes()[attribute];
-        let components = grids[0].components.start..grids[grids.len() - 1].components.end;
-        let mut values = Vec::new();
-        let numbers = (mesh.vertex_count() as usize).saturating_mul(components.len());
-        values.try_reserve_exact(numbers).map_err(|_| io::ErrorKind::OutOfMemory)?;
-        let make = |piece, out: &mut Vec<f32>| {
-            let vertices = mesh.vertices(piece)?;
-            let all = vertices.attributes[attribute].chunks_exact(stride);
-            all.for_each(|values| out.extend_from_slice(&values[components.clone()]));
-            Ok(())
-        };
-        in_order(mesh.pieces(), make, |piece| {
-            values.extend_from_slice(piece);
-            Ok(())
-        })?;
-        Ok(Self { components, kind, values })
+impl StoredLeaf {
+    /// The range of the leaf's values in the list of its block, if each voxel has `width` items.
+    fn range(&self, width: usize) -> Range<usize> {
+        let first = self.first as usize;
+        first * width..(first + self.tree.active_count()) * width
+    }
+}
+
+impl FileId {
+    /// Adds a block's distances. `corner` is the first voxel of the block's first leaf.
+    fn add(&mut self, corner: IVec3, distances: &[u8]) {
+        self.blocks.push((corner.to_array(), crc32fast::hash(distances)));
     }
 
-    /// The type of the values of `grid`.
-    fn kind_of(&self, grid: &AttributeGrid, info: &AttributeInfo) -> Kind {
-        match self.kind {
-            AttributeKind::Signed => Kind::Int32,
-            AttributeKind::Unsigned | AttributeKind::Wide => Kind::Int64,
-            _ => {
-                let half = self.kind.is_colour() || info.is_velocity() && self.fits_half();
-                Kind::Real { components: grid.components.len(), half }
-            }
+    /// The identifier, derived from the distances, the corners of the leaves, and the number of
+    /// active voxels.
+    fn of_file(mut self, leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
+        self.blocks.sort_unstable();
+        let [mut distances, mut places] = [(); 2].map(|()| crc32fast::Hasher::new());
+        self.blocks.iter().for_each(|(_, sum)| distances.update(&sum.to_le_bytes()));
+        let corners = leaves.iter().flat_map(|leaf| leaf.tree.corner.to_array());
+        corners.for_each(|corner| places.update(&corner.to_le_bytes()));
+        [distances.finalize(), places.finalize(), (voxels >> 32) as u32, voxels as u32]
+    }
+}
+
+/// The type of the values of `grid`. `greatest` is the greatest absolute value of a velocity.
+fn kind_of(grid: &AttributeGrid, info: &AttributeInfo, greatest: f32) -> Kind {
+    match info.kind {
+        AttributeKind::Signed => Kind::Int32,
+        AttributeKind::Unsigned | AttributeKind::Wide => Kind::Int64,
+        kind => {
+            let fits_half = greatest == 0.0 || HALF_VELOCITIES.contains(&greatest);
+            let half = kind.is_colour() || info.is_velocity() && fits_half;
+            Kind::Real { components: grid.components.len(), half }
         }
     }
+}
 
-    /// Whether the greatest absolute value is within [`HALF_VELOCITIES`], or all values are 0.
-    fn fits_half(&self) -> bool {
-        let greatest = self.values.par_iter().map(|value| value.abs());
-        let greatest = greatest.reduce(|| 0.0, |a, b| if a > b || a.is_nan() { a } else { b });
-        greatest == 0.0 || HALF_VELOCITIES.contains(&greatest)
-    }
+/// The greatest absolute value; NaN if there is one.
+fn greatest_magnitude(values: &[f32]) -> f32 {
+    values.par_iter().map(|value| value.abs()).reduce(|| 0.0, greater)
+}
 
-    /// Appends the attribute's value at `point` of the surface, interpolated between the corners of
-    /// the triangle. Integers are not interpolated but taken from the nearest corner.
-    fn put(&self, out: &mut Vec<f32>, grid: &AttributeGrid, point: NearestPoint) {
-        let NearestPoint { corners, shares } = point;
-        let (first, stride) = (self.components.start, self.components.len());
-        let value = |corner: usize, component: usize| {
-            self.values[corners[corner] as usize * stride + component - first]
+/// The greater of two numbers; NaN if one of them is NaN.
+fn greater(a: f32, b: f32) -> f32 {
+    if a > b || a.is_nan() { a } else { b }
+}
+
+/// Appends some components of an attribute at `point` of the surface, interpolated between the
+/// corners of the triangle. Integers are not interpolated but taken from the nearest corner.
+/// `values` are the attribute's values at all vertices.
+fn put_values(
+    out: &mut Vec<f32>,
+    info: &AttributeInfo,
+    values: &[f32],
+    components: &Range<usize>,
+    NearestPoint { corners, shares }: NearestPoint,
+) {
+    let value = |corner: usize, component: usize| {
+        values[corners[corner] as usize * info.components + component]
+    };
+    for component in components.clone() {
+        let number = if info.kind.is_whole() {
+            let nearest = (0..3).max_by(|&a, &b| shares[a].total_cmp(&shares[b]));
+            value(nearest.unwrap_or(0), component)
+        } else {
+            let mean = (0..3).map(|corner| value(corner, component) * shares[corner]).sum();
+            if info.kind.is_colour() { info.kind.share(mean) } else { mean }
         };
-        for component in grid.components.clone() {
-            let number = if self.kind.is_whole() {
-                let nearest = (0..3).max_by(|&a, &b| shares[a].total_cmp(&shares[b]));
-                value(nearest.unwrap_or(0), component)
-            } else {
-                let mean = (0..3).map(|corner| value(corner, component) * shares[corner]).sum();
-                if self.kind.is_colour() { self.kind.share(mean) } else { mean }
-            };
-            out.push(number);
-        }
+        out.push(number);
     }
 }
 
@@ -264,7 +342,7 @@ impl GridWriter<'_> {
         name: &str,
         kind: Kind,
         vector_type: Option<&'static str>,
-        put: impl Fn(&StoredLeaf, &mut Vec<u8>) + Sync,
+        put: impl Fn(&StoredLeaf, &mut Vec<u8>) -> io::Result<()> + Sync,
     ) -> io::Result<()> {
         let Self { mesh, leaves, zip, lattice, voxels, bounds, .. } = *self;
         let encode = |chunk: usize, out: &mut Vec<u8>| {
@@ -278,10 +356,10 @@ impl GridWriter<'_> {
                 put_sides(out, kind, leaf.tree.sides(), &inside.map(|word| !word));
                 if zip {
                     values.clear();
-                    put(leaf, &mut values);
+                    put(leaf, &mut values)?;
                     put_zipped(out, &values);
                 } else {
-                    put(leaf, out);
+                    put(leaf, out)?;
                 }
             }
             Ok(())
@@ -321,17 +399,6 @@ impl GridWriter<'_> {
     }
 }
 
-/// An identifier of the file, derived from the distances, the corners of the leaves, and the number
-/// of active voxels.
-fn id(blocks: &[StoredBlock], leaves: &[StoredLeaf], voxels: u64) -> [u32; 4] {
-    let mut distances = crc32fast::Hasher::new();
-    blocks.iter().for_each(|block| distances.update(&block.distances));
-    let mut places = crc32fast::Hasher::new();
-    let corners = leaves.iter().flat_map(|leaf| leaf.tree.corner.to_array());
-    corners.for_each(|corner| places.update(&corner.to_le_bytes()));
-    [distances.finalize(), places.finalize(), (voxels >> 32) as u32, voxels as u32]
-}
-
 /// The names of attributes in the file. The velocity and the first colour are stored under
 /// Houdini's names. Other attributes keep their names if these are free.
 pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
@@ -352,11 +419,6 @@ pub fn attribute_names(infos: &[AttributeInfo]) -> Vec<String> {
     let name =
         |known: Option<&str>| known.map_or_else(|| others.next(), |name| Some(name.to_owned()));
     known.into_iter().filter_map(name).collect()
-}
-
-/// The number of times that the writer reads all vertices of a mesh to store their attributes.
-pub fn attribute_readings(infos: &[AttributeInfo]) -> usize {
-    grid_batches(&attribute_grids(infos)).count()
 }
 
 /// The grids that store the attributes.
@@ -381,11 +443,4 @@ fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
     let names = unique_names(grids.iter().map(|grid| &*grid.name), &[SURFACE], str::to_owned);
     grids.iter_mut().zip(names).for_each(|(grid, name)| grid.name = name);
     grids
-}
-
-/// Divides the grids into runs whose values are read at once. All grids of a run belong to the same
-/// attribute.
-fn grid_batches(grids: &[AttributeGrid]) -> impl Iterator<Item = &[AttributeGrid]> {
-    let of_attributes = grids.chunk_by(|a, b| a.attribute == b.attribute);
-    of_attributes.flat_map(|grids| grids.chunks(NUMBERS_AT_ONCE))
 }

@@ -94,7 +94,8 @@ fn joined(
         file.meshes
     });
     let meshes = meshes.collect();
-    let spool = Spool::in_files(checked.surfacing.normals == Normals::Gradient, components, meshes);
+    let normals = checked.surfacing.normals == Normals::Gradient;
+    let spool = Spool::in_files(normals, components, meshes, &checked.resources.scratch);
     Ok(MergedParts { spool, occupied, lacking, bins })
 }
 

@@ -7,6 +7,7 @@
 
 mod band;
 mod near;
+mod parts;
 mod reach;
 mod sides;
 mod triangle;
@@ -15,12 +16,13 @@ mod volume;
 use std::io;
 
 use glam::{DVec3, IVec3};
-use hashbrown::HashMap;
+use hashbrown::{HashMap, HashSet};
 use rayon::prelude::*;
 
-use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline};
+use crate::surface::mesh::source::{Lattice, Outline};
 
 use band::{Band, MARGIN};
+pub use parts::{for_each_part, part_bytes};
 pub use volume::Volume;
 
 /// Half the width of the band, in voxels.
@@ -99,11 +101,16 @@ pub fn lattice_of(outline: &Outline) -> Option<Lattice> {
     outline.lattice.or((outline.triangles == 0).then_some(UNIT))
 }
 
-/// A closed mesh in memory, with its positions in voxels.
-#[derive(Debug)]
+/// A closed mesh, or all of its triangles near some blocks, in memory. Positions are in voxels.
+#[derive(Debug, Default)]
 pub struct LevelSet {
     positions: Vec<DVec3>,
+    /// The values of each attribute of the mesh, with the components of each vertex contiguous.
+    /// Integers are stored as their 32 bits.
+    pub attributes: Vec<Vec<f32>>,
     triangles: Vec<[u32; 3]>,
+    /// The blocks near which all triangles are in memory; `None` for a whole mesh.
+    part: Option<HashSet<IVec3>>,
 }
 
 /// A block, and lists of the triangles near it. The triangle numbers are in ascending order within
@@ -111,25 +118,6 @@ pub struct LevelSet {
 type BlockLists = (IVec3, Vec<Vec<u32>>);
 
 impl LevelSet {
-    /// Reads a closed mesh into memory, which takes 24 bytes for each vertex and 12 bytes for each
-    /// triangle.
-    ///
-    /// # Errors
-    /// If `mesh` cannot be read; [`io::ErrorKind::OutOfMemory`] if there is too little memory;
-    /// [`io::ErrorKind::InvalidInput`] for a mesh with too many vertices or triangles, or with
-    /// coordinates that are not finite or too large.
-    pub fn new(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<Self> {
-        let (positions, triangles) = gathered(mesh)?;
-        let origin = DVec3::from(lattice.origin);
-        let voxel = |position: [f64; 3]| (DVec3::from(position) - origin) / lattice.step;
-        // `collect` reuses the memory of the array.
-        let positions: Vec<DVec3> = positions.into_iter().map(voxel).collect();
-        if !positions.par_iter().all(|place| place.abs().cmplt(DVec3::splat(FARTHEST)).all()) {
-            return Err(invalid(TOO_FAR));
-        }
-        Ok(Self { positions, triangles })
-    }
-
     /// The point of a triangle that is nearest to a voxel.
     #[inline]
     pub fn nearest_point(&self, triangle: u32, voxel: IVec3) -> NearestPoint {
@@ -164,13 +152,17 @@ impl LevelSet {
         self.blocks().into_par_iter().map_init(Band::new, block).collect()
     }
 
-    /// All blocks with triangles nearby, in the order of their first triangles.
+    /// The blocks with triangles nearby, in the order of their first triangles.
     fn blocks(&self) -> Vec<BlockLists> {
         let lists = |(chunk, triangles): (usize, &[[u32; 3]])| {
             let mut lists = BlocksByPlace::default();
             for (number, corners) in (chunk * TRIANGLES_TOGETHER..).zip(triangles) {
                 let corners = corners.map(|vertex| self.position(vertex));
-                each_block_near(corners, |block| lists.of(block).push(number as u32));
+                each_block_near(corners, |block| {
+                    if self.part.as_ref().is_none_or(|part| part.contains(&block)) {
+                        lists.of(block).push(number as u32);
+                    }
+                });
             }
             lists.blocks
         };
@@ -256,34 +248,22 @@ fn invalid(what: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, what.to_owned())
 }
 
-/// The positions of all vertices, and all triangles.
-fn gathered(mesh: &dyn MeshSource) -> io::Result<Indexed> {
-    let Outline { vertices, triangles, pieces, .. } = mesh.outline();
-    if vertices > u64::from(u32::MAX) || triangles >= u64::from(u32::MAX) {
-        return Err(invalid("a level set needs a mesh of at most 4294967295 triangles"));
-    }
-    if let Some(indexed) = mesh.at_once()? {
-        return Ok(indexed);
-    }
-    let mut positions = Vec::new();
-    let mut all: Vec<[u32; 3]> = Vec::new();
-    positions.try_reserve_exact(vertices as usize).map_err(|_| io::ErrorKind::OutOfMemory)?;
-    all.try_reserve_exact(triangles as usize).map_err(|_| io::ErrorKind::OutOfMemory)?;
-    for piece in 0..pieces {
-        positions.extend_from_slice(&mesh.vertices(piece)?.positions);
-    }
-    for piece in 0..pieces {
-        all.extend(mesh.triangles(piece)?.into_iter().map(|corners| corners.map(|v| v as u32)));
-    }
-    Ok((positions, all))
-}
-
 #[cfg(test)]
 mod tests {
     use std::f64::consts::PI;
 
     use super::*;
     use crate::surface::mesh::Mesh;
+
+    /// The level set of a whole mesh.
+    fn whole(mesh: &Mesh, lattice: Lattice) -> io::Result<LevelSet> {
+        let mut whole = LevelSet::default();
+        for_each_part(mesh, lattice, |part| {
+            whole = part;
+            Ok(())
+        })?;
+        Ok(whole)
+    }
 
     /// The distance of a voxel from the surface, computed from the weights of the nearest
     /// triangle's corners.
@@ -340,7 +320,7 @@ mod tests {
     /// voxels in the band.
     fn check_octahedron(centre: [f64; 3], radii: [f64; 3]) -> i32 {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-        let level_set = LevelSet::new(&octahedron(centre, radii), lattice).unwrap();
+        let level_set = whole(&octahedron(centre, radii), lattice).unwrap();
         for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
             for i in 0..VOXELS {
                 let at = leaf.corner + place_in_leaf(i);
@@ -390,7 +370,7 @@ mod tests {
     fn distances_of_small_random_triangles_are_exact() {
         for (radius, rings) in [(2.0, 4), (9.0, 8), (9.0, 16)] {
             let lattice = Lattice { origin: [0.3, -0.2, 0.1], step: 1.0 };
-            let level_set = LevelSet::new(&lumpy_ball(radius, rings), lattice).unwrap();
+            let level_set = whole(&lumpy_ball(radius, rings), lattice).unwrap();
             assert!(check_distances(&level_set) > 300);
         }
     }
@@ -454,7 +434,7 @@ mod tests {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
         for (low, size) in [([-20.5, 0.5, -70.5], [150, 6, 180]), ([3.5, -40.0, 0.5], [4, 140, 90])]
         {
-            let level_set = LevelSet::new(&tiled_box(low, size), lattice).unwrap();
+            let level_set = whole(&tiled_box(low, size), lattice).unwrap();
             let (low, size) = (DVec3::from(low), DVec3::from(size.map(f64::from)));
             let mut checked = 0;
             // Each block reuses the memory of the blocks before it.
@@ -483,7 +463,7 @@ mod tests {
             mesh.positions.extend(other.positions);
             mesh.triangles.extend(other.triangles.iter().map(|corners| corners.map(|v| v + first)));
             let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-            let level_set = LevelSet::new(&mesh, lattice).unwrap();
+            let level_set = whole(&mesh, lattice).unwrap();
             let mut checked = 0;
             for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
                 for i in 0..VOXELS {
@@ -510,7 +490,7 @@ mod tests {
         mesh.triangles
             .extend(small.triangles.iter().map(|&[a, b, c]| [a, c, b].map(|v| v + first)));
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-        let level_set = LevelSet::new(&mesh, lattice).unwrap();
+        let level_set = whole(&mesh, lattice).unwrap();
         let mut checked = 0;
         for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
             for i in 0..VOXELS {
@@ -534,7 +514,7 @@ mod tests {
             for axis in 0..3 {
                 let mut mesh = octahedron([0.0; 3], [5.0; 3]);
                 mesh.positions[0][axis] = far;
-                let fault = LevelSet::new(&mesh, lattice).unwrap_err();
+                let fault = whole(&mesh, lattice).unwrap_err();
                 assert_eq!(fault.kind(), io::ErrorKind::InvalidInput, "{far} along {axis}");
             }
         }

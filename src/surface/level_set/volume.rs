@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::surface::mesh::source::{Lattice, MeshSource};
 
-use super::{BAND, Leaf, LevelSet, VOXELS, lattice_of};
+use super::{BAND, Leaf, VOXELS, for_each_part, lattice_of};
 
 /// The signed distances of the voxels of a grid from a surface, in bricks of 8³ voxels. A brick is
 /// stored only if one of its voxels is less than three voxels from the surface.
@@ -28,15 +28,19 @@ impl Volume {
     /// The level set of a closed mesh.
     ///
     /// # Errors
-    /// The errors of [`LevelSet::new`]; an error if the work is cancelled; and
+    /// The errors of [`for_each_part`]; an error if the work is cancelled; and
     /// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice.
     pub fn of(mesh: &dyn MeshSource) -> io::Result<Self> {
         let lattice = lattice_of(&mesh.outline()).ok_or(io::ErrorKind::InvalidInput)?;
-        let leaves = LevelSet::new(mesh, lattice)?.map(|leaves| {
-            mesh.go_on()?;
-            Ok(leaves)
+        let mut leaves: Vec<Leaf> = Vec::new();
+        for_each_part(mesh, lattice, |part| {
+            let of_blocks = part.map(|leaves| {
+                mesh.go_on()?;
+                Ok(leaves)
+            })?;
+            leaves.extend(of_blocks.into_iter().flatten());
+            Ok(())
         })?;
-        let mut leaves: Vec<Leaf> = leaves.into_iter().flatten().collect();
         leaves.par_sort_unstable_by_key(|leaf| leaf.corner.to_array());
         let Lattice { origin, step: voxel_size } = lattice;
         let mut distances = Vec::new();

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::io;
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use crate::grid::Grid;
@@ -73,6 +74,17 @@ pub struct EmptyMesh {
 /// The positions of all vertices, and all triangles as indices into them.
 pub type Indexed = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
+/// What is known about a piece before it is read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PieceOutline {
+    /// A box that contains the piece's triangles. It may be larger than necessary.
+    pub bounds: Corners,
+    /// Number of vertices in the piece.
+    pub vertices: u64,
+    /// Number of triangles in the piece.
+    pub triangles: u64,
+}
+
 /// A mesh in pieces. The mesh has the vertices of all pieces, in order, and the triangles of all
 /// pieces, in order. Pieces can be read repeatedly, by several threads.
 pub trait MeshSource: Sync {
@@ -118,6 +130,16 @@ pub trait MeshSource: Sync {
     /// If the pieces are in a file that cannot be read.
     fn at_once(&self) -> io::Result<Option<Indexed>> {
         Ok(None)
+    }
+
+    /// The outline of piece number `piece`, if it is known before the piece is read.
+    fn piece_outline(&self, _piece: usize) -> Option<PieceOutline> {
+        None
+    }
+
+    /// The folder for scratch files, if the mesh is in files because it exceeds the memory limit.
+    fn scratch_folder(&self) -> Option<&Path> {
+        None
     }
 
     /// A mesh that looks the same from a distance, but has only about a quarter of the triangles;
@@ -278,6 +300,14 @@ impl MeshSource for MeteredMesh<'_> {
         self.meter.go_on()?;
         self.mesh.at_once()
     }
+
+    fn piece_outline(&self, piece: usize) -> Option<PieceOutline> {
+        self.mesh.piece_outline(piece)
+    }
+
+    fn scratch_folder(&self) -> Option<&Path> {
+        self.mesh.scratch_folder()
+    }
 }
 
 /// The minimum and the maximum corner of a box.
@@ -335,5 +365,13 @@ impl MeshSource for BoundedMesh<'_> {
 
     fn up(&self) -> UpAxis {
         self.mesh.up()
+    }
+
+    fn piece_outline(&self, piece: usize) -> Option<PieceOutline> {
+        self.mesh.piece_outline(piece)
+    }
+
+    fn scratch_folder(&self) -> Option<&Path> {
+        self.mesh.scratch_folder()
     }
 }

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 use std::io::{self, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use glam::IVec3;
 
@@ -36,6 +36,8 @@ pub struct Spool {
     normals: bool,
     /// Size of all surfaces, in bytes.
     bytes: u64,
+    /// The folder for scratch files, if the surfaces are in files.
+    folder: Option<PathBuf>,
 }
 
 #[derive(Debug)]
@@ -108,6 +110,7 @@ impl Spool {
             components,
             normals,
             bytes: 0,
+            folder: None,
         }
     }
 
@@ -115,8 +118,15 @@ impl Spool {
     pub const BLOCK_BYTES: u64 = size_of::<SpoolEntry>() as u64;
 
     /// A spool for surfaces in files. The blocks of all files together must be in Morton order.
-    pub fn in_files(normals: bool, components: Vec<usize>, files: Vec<SpoolFile>) -> Self {
+    /// `folder` is for scratch files.
+    pub fn in_files(
+        normals: bool,
+        components: Vec<usize>,
+        files: Vec<SpoolFile>,
+        folder: &Path,
+    ) -> Self {
         let mut spool = Self::in_memory(normals, components);
+        spool.folder = Some(folder.to_owned());
         let vertex_bytes = spool.vertex_bytes();
         let mut stored = Vec::new();
         for SpoolFile { file, mut at, blocks } in files {
@@ -199,7 +209,13 @@ impl Spool {
             entry.at = scratch.append(&block.to_bytes())?;
         }
         self.store = BlockStore::File(scratch);
+        self.folder = Some(folder.to_owned());
         Ok(())
+    }
+
+    /// The folder for scratch files, if the surfaces are in files.
+    pub fn scratch_folder(&self) -> Option<&Path> {
+        self.folder.as_deref()
     }
 
     /// Adds the next block's surface.

@@ -4,10 +4,11 @@ use std::borrow::Cow;
 use std::fmt;
 use std::io;
 use std::ops::Sub;
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::source::{Lattice, MeshSource, Outline, Vertices};
+use super::source::{Lattice, MeshSource, Outline, PieceOutline, Vertices, joined};
 use crate::particles::AttributeInfo;
 
 /// The axis that points up.
@@ -110,5 +111,15 @@ impl MeshSource for TurnedMesh<'_> {
 
     fn whole_positions(&self) -> Option<&[[f64; 3]]> {
         self.mesh.whole_positions().filter(|_| self.from == self.to)
+    }
+
+    fn piece_outline(&self, piece: usize) -> Option<PieceOutline> {
+        let outline = self.mesh.piece_outline(piece)?;
+        let [a, b] = outline.bounds.map(|corner| self.from.turned(self.to, corner));
+        Some(PieceOutline { bounds: joined([a, a], [b, b]), ..outline })
+    }
+
+    fn scratch_folder(&self) -> Option<&Path> {
+        self.mesh.scratch_folder()
     }
 }

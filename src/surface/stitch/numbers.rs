@@ -2,15 +2,16 @@
 
 use std::borrow::Cow;
 use std::io;
+use std::path::Path;
 use std::sync::LazyLock;
 
 use glam::IVec3;
 use multiversion::multiversion;
 
-use crate::grid::{BLOCK, BlockLevel};
+use crate::grid::{BLOCK, BlockLevel, CellBox};
 use crate::surface::dual_mc::cases::{CellEdge, TABLE};
 use crate::surface::dual_mc::levels::{at_corners, joined_triangles};
-use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline, Vertices};
+use crate::surface::mesh::source::{Indexed, Lattice, MeshSource, Outline, PieceOutline, Vertices};
 use crate::surface::mesh::{Tile, bits, cell_of_bit};
 
 use super::StitchedSurface;
@@ -18,6 +19,9 @@ use super::coarse::CoarseMesh;
 
 /// Number of cells along each axis: the cells of a block, and one layer of cells of the next block.
 const EDGE: usize = BLOCK as usize + 1;
+
+/// The maximum distance, in cells of a block, between the block and the vertices of its triangles.
+const REACH: i32 = 2;
 
 /// Approximate ratio of triangles to vertices of a closed surface.
 const TRIANGLES_PER_VERTEX: u64 = 2;
@@ -207,6 +211,18 @@ impl MeshSource for StitchedSurface {
             .is_ok()
             .then(|| self.positions_and_triangles())
             .transpose()
+    }
+
+    fn piece_outline(&self, piece: usize) -> Option<PieceOutline> {
+        let [vertices, triangles] = self.spool.counts(piece).map(|count| count as u64);
+        let cells = CellBox::cube(self.spool.block(piece), BLOCK).grown(REACH, REACH);
+        let grid = self.grid.in_wider_cells(self.spool.level(piece).level.into());
+        let corner = |cell: IVec3| grid.world_from_cells(cell.as_dvec3()).to_array();
+        Some(PieceOutline { bounds: [corner(cells.lo), corner(cells.hi)], vertices, triangles })
+    }
+
+    fn scratch_folder(&self) -> Option<&Path> {
+        self.spool.scratch_folder()
     }
 
     fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {

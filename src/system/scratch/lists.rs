@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 use std::io;
+use std::ops::Range;
 use std::path::Path;
 
 use bytemuck::{Pod, cast_slice, cast_slice_mut};
@@ -82,13 +83,21 @@ impl<T: Pod> Lists<T> {
     /// # Errors
     /// If the scratch file cannot be read.
     pub fn get(&self, i: usize) -> io::Result<Cow<'_, [T]>> {
+        self.items(i, 0..self.index[i].1)
+    }
+
+    /// Returns the items `range` of list number `i`.
+    ///
+    /// # Errors
+    /// If the scratch file cannot be read.
+    pub fn items(&self, i: usize, range: Range<usize>) -> io::Result<Cow<'_, [T]>> {
         match &self.store {
-            ListStore::Memory(lists) => Ok(Cow::Borrowed(&lists[i])),
+            ListStore::Memory(lists) => Ok(Cow::Borrowed(&lists[i][range])),
             ListStore::File(scratch) => {
-                let (at, len) = self.index[i];
-                let mut list = vec![T::zeroed(); len];
-                scratch.read_at(at, cast_slice_mut(&mut list))?;
-                Ok(Cow::Owned(list))
+                let mut items = vec![T::zeroed(); range.len()];
+                let at = self.index[i].0 + (range.start * size_of::<T>()) as u64;
+                scratch.read_at(at, cast_slice_mut(&mut items))?;
+                Ok(Cow::Owned(items))
             }
         }
     }
