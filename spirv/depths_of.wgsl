@@ -15,8 +15,9 @@ struct DepthsOfPush {
     narrow_most: i32,
     middle_most: i32,
     wide_most: i32,
-    // For each surface, the factor, in 4096ths, that extrapolates from two widths to width 0. It
-    // multiplies the difference between the distances of the two widths.
+    // For each surface, the factor of the extrapolation to width 0, in 4096ths. The distance of a
+    // surface is near + factor * (near - far), where near and far are the distances that follow
+    // from the narrower and the wider of its two widths.
     fine_share: i32,
     calm_share: i32,
 }

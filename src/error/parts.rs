@@ -32,8 +32,8 @@ pub enum PartsError {
     NoPlan(PathBuf),
     /// A plan that is damaged, or was written by another version of meniscus.
     #[error(
-        "{}: the plan cannot be used ({what}); the file may be damaged, or may come from another \
-         version of meniscus; make the plan again",
+        "{}: cannot use this plan ({what}); it may be damaged, or another version of meniscus may \
+         have written it; make the plan again",
         path.display()
     )]
     Plan {

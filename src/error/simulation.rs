@@ -110,8 +110,8 @@ pub enum SimulationError {
     },
     /// A state file that is damaged, or was written by another version of meniscus.
     #[error(
-        "{}: the state file cannot be used ({what}); the file may be damaged, or may come from \
-         another version of meniscus",
+        "{}: cannot use this state file ({what}); it may be damaged, or another version of \
+         meniscus may have written it",
         path.display()
     )]
     State {

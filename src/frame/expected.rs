@@ -62,8 +62,9 @@ impl ExpectedVertices {
 /// The filled fraction of each bin that contains particles.
 type Shares = HashMap<IVec3, f32>;
 
-/// Number of vertices around a single particle. For a ball with a radius of 0.55 spacings, it is 6
-/// to 7 times the squared spacing in cells.
+/// An upper estimate of the number of vertices around a single particle. The surface of a single
+/// particle is a ball with a radius of 0.55 spacings, which has 6 to 7 times s^2 vertices, where s
+/// is the spacing in cells.
 pub(super) fn vertices_alone(spacing_cells: f64) -> f64 {
     8.0 * spacing_cells * spacing_cells + 6.0
 }

@@ -217,7 +217,11 @@ impl fmt::Display for UnreadPart {
             Self::Names(names) => {
                 let names = names.iter().map(|name| format!("{name:?}"));
                 let names = names.collect::<Vec<_>>().join(", ");
-                write!(f, "the names of the blocks ({names}), because the blocks are joined")
+                write!(
+                    f,
+                    "the names of the blocks ({names}), because the particles of all blocks are \
+                     joined; a condition cannot select one of these blocks"
+                )
             }
             Self::Primitives(primitives) => write!(f, "{primitives}"),
             Self::Times { column, count, first, last } => write!(

@@ -26,8 +26,8 @@ pub struct WantedParticles<'a> {
     /// Attributes to read. Readers that always read all attributes return more than these.
     pub attributes: WantedAttributes<'a>,
     /// Conditions by which particles are selected. If an input has several types of particles, a
-    /// condition such as `type=wall` names the type to read. By default, this is the only type, the
-    /// type called fluid, or gas if no other type can be a liquid.
+    /// condition such as `type=wall` names the type to read. Without such a condition, the type is
+    /// PartType0, fluid or, if no other type can be a liquid, gas.
     pub conditions: &'a [Where],
     /// Pieces to read, for an input in several files.
     pub pieces: WantedPieces<'a>,

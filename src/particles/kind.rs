@@ -57,9 +57,9 @@ pub enum KindFault {
     #[error(
         "colour {name:?} contains the value {greatest}, so its range seems to be 0 to 255, but in \
          the calibration frame (usually the first), the range seems to be 0 to 1; use the same \
-         range in all frames, or do not transfer the attribute; if all frames use 0 to 255, the \
-         calibration frame has only dark colours (values up to 16), so begin with a frame that has \
-         a value above 16"
+         range in all frames, or do not transfer the attribute; if the range is 0 to 255 in all \
+         frames, the calibration frame is too dark to show this (it has no value above 16), so \
+         begin with a frame that has a value above 16"
     )]
     Scale {
         /// The name of the attribute.
@@ -72,9 +72,8 @@ pub enum KindFault {
     #[error(
         "colour {name:?} has the value {value}, but in the calibration frame (usually the first), \
          all values are integers from 0 to 255, so meniscus treats the attribute as a colour from \
-         0 to 255 in all frames; either store colours in the same way in all frames, or begin with \
-         a frame that has a value outside this range (all frames can then have such values), or do \
-         not transfer the attribute"
+         0 to 255 in all frames; use this range in all frames, or do not transfer the attribute; \
+         if values outside this range are correct, begin with a frame that contains such a value"
     )]
     NoByte {
         /// The name of the attribute.

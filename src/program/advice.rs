@@ -402,7 +402,11 @@ mod tests {
                 why: WhyOne::Pattern,
             }
             .into(),
-            SimulationError::State { path: state(), what: "expected value".into() }.into(),
+            SimulationError::State {
+                path: state(),
+                what: "expected value at line 1 column 1".into(),
+            }
+            .into(),
             SimulationError::OtherInputs {
                 path: state(),
                 recorded: "/data/run_1".into(),

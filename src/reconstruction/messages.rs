@@ -232,7 +232,7 @@ fn conflicts(text: &mut String) {
 fn files() -> String {
     let mut text = String::new();
     examples!(text, ReadFault:
-        Io(io::ErrorKind::NotFound.into()),
+        Io(io::Error::other("No such file or directory")),
         Empty,
         Scratch(full_disk()),
         Compression("invalid checksum".into()),
@@ -300,7 +300,7 @@ fn files() -> String {
         Several { from: "sim".into(), families: families(), why: WhyOne::Pattern },
         Several { from: "sim".into(), families: families(), why: WhyOne::Names },
         Io { path: path("mesh"), fault: full_disk() },
-        State { path: state(), what: "expected value".into() },
+        State { path: state(), what: "expected value at line 1 column 1".into() },
         Busy(state()),
         OtherInputs {
             path: state(),

@@ -653,7 +653,7 @@ impl Sheet {
         Ok(meshes)
     }
 
-    /// Draws the meshes in the lists of frames.
+    /// Draws the contact sheet, with the meshes that the lists of frames contain.
     ///
     /// # Errors
     /// The errors of [`Pictures::run`], and [`Error::Simulation`] if the inputs can no longer be

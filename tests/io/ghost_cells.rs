@@ -18,8 +18,9 @@ const STEPS: [(u64, usize, &[usize]); 4] = [
     // Point 4 is a copy, 3 is refined and 1 is hidden. The flag of point 2 means high connectivity,
     // which does not make it a ghost.
     (0, 6, &[0, 2, 5]),
-    // Points 6 to 8 are in a partition with a line. Point 10 has a flagged and an unflagged vertex,
-    // and point 12 has no vertex.
+    // The partition of points 6 to 8 contains a line, so the flags of its cells are ignored. Two
+    // vertex cells refer to point 10, and only one of them is flagged. No vertex cell refers to
+    // point 12. None of these points is a ghost.
     (1, 7, &[6, 7, 8, 10, 12]),
     // This step has the cells of step 0, but different flags.
     (2, 6, &[1, 2, 3, 4]),

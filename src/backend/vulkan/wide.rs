@@ -146,8 +146,8 @@ impl Contouring<'_> {
         Ok(WideBulk { blocks, of_regions, probes, fields })
     }
 
-    /// Computes the field on the regions to mesh, from the bulk on wide cells and from the drops in
-    /// parts of the regions.
+    /// Computes the field on the regions to mesh. The bulk is interpolated from wide cells. Drops
+    /// and sheets are added only in the parts of the regions in which particles stand out.
     pub(super) fn join_wide(
         &self,
         lane: &mut Lane,

@@ -39,8 +39,8 @@ pub const PROBES: u32 = 128;
 pub const SETTLED: u32 = u32::MAX;
 /// The value of both words of the key of a particle without a bin.
 pub const NO_BIN: u32 = u32::MAX;
-/// The value that replaces the position of a slot's next particle if the slot's bin belongs to
-/// another run.
+/// Marks a slot whose bin belongs to another run of the sort, which sorts only some of the bins in
+/// each run. Slots of the current run hold the position of their bin's next particle instead.
 pub const ELSEWHERE: u32 = u32::MAX;
 /// Bytes of a packed particle.
 const RECORD_BYTES: u64 = 8;

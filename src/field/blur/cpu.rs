@@ -151,8 +151,8 @@ impl BlurSample for u16 {
     }
 }
 
-/// Sums of attributes. The blur divides the integer weights by their sum, and adds the taps in
-/// order.
+/// Blurs sums of attributes in f64. Each weight is an integer, divided by the sum of all weights.
+/// For each sum, the weighted taps are added in the order of their positions.
 impl BlurSample for f64 {
     fn blur_row(to: &mut [Self], taps: &[Self], step: usize, weights: &Weights, _: usize) {
         blur_float(to, taps, step, weights.half());

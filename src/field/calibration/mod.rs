@@ -81,7 +81,8 @@ pub struct MeasuredCalibration {
     pub calibration: Calibration,
     /// The plateau of the field; it is measured even if the isovalue is given.
     pub plateau: Plateau,
-    /// The distance, in cells, by which one step of the field moves a flat surface.
+    /// The distance, in cells, by which a flat surface moves if the field changes by 1, which is
+    /// the smallest possible change because the field is stored as integers.
     pub step_cells: f64,
 }
 

@@ -22,7 +22,7 @@
 //! | | 4 | distance from the box, in cells, within which the pages include images of particles |
 //! | | 4 | number of particles that were wrapped into the box, at most 2^32 - 1 |
 //! | if several sizes | 8 | largest size, f64 |
-//! | | 8 | total volume of the particles in a unit of volume, deep in the fluid, f64; 0 if it is not known |
+//! | | 8 | share of space that the particles fill deep in the fluid: their total volume, divided by the volume of the space, f64; 0 if it is not known |
 //! | footer | 8 | number of pages |
 //! | index, per page | 8 | Morton key of its bin: 21 bits per axis, x lowest, each biased by 2^20 |
 //! | | 8 | offset of the page in the file |

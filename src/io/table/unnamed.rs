@@ -228,7 +228,8 @@ impl SampledColumn {
         self.values.iter().all(|value| value.fract() == 0.0)
     }
 
-    /// Whether a field is a number, but not an integer without a sign.
+    /// Whether at least one field is a number other than an integer without a sign, for example
+    /// `-1` or `0.5`.
     fn has_reals(&self) -> bool {
         self.numbers > self.unsigned
     }

@@ -1,10 +1,12 @@
 //! The voxels to which a triangle can be nearest.
 //!
-//! Let a point of a triangle be the point of the mesh that is nearest to a voxel. If the point is
-//! inside the triangle, the line through the point and the voxel is parallel to the triangle's
-//! normal. If the point is on an edge or a vertex, this line is only within some angle of the
-//! normal of one of the triangles around the edge or vertex. In both cases, the voxel is near the
-//! line that passes through the point along the normal.
+//! Suppose that, of all points of the mesh, a point of a triangle is the nearest to a voxel. If the
+//! point is inside the triangle, the line from the point to the voxel is perpendicular to the
+//! triangle, and so parallel to its normal. If the point is on an edge or a vertex, the line is
+//! within a certain angle of the normal of one of the triangles that meet there: see
+//! [`NearTriangles::spread`]. In both cases, the voxel is near the line that passes through the
+//! point along the normal. Its distance from this line is at most its height above the point along
+//! the normal, times the tangent of the angle.
 
 use glam::{IVec3, Vec3A, Vec4};
 

@@ -106,9 +106,10 @@ pub fn less(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }
 
-/// The weights (barycentric coordinates) of a triangle's corners in the point of the triangle that
-/// is nearest to the origin; the sum of the weights is 1. The tests find whether the nearest point
-/// is a corner, on an edge, or inside the triangle (Ericson, Real-Time Collision Detection, 5.1.5).
+/// Returns the barycentric coordinates of the point of a triangle that is nearest to the origin:
+/// the weights of the three corners, which add up to 1. The function first tests whether this point
+/// is a corner or lies on an edge. Otherwise, the point is inside the triangle (Ericson, Real-Time
+/// Collision Detection, 5.1.5).
 #[inline]
 pub fn shares([a, b, c]: [DVec3; 3]) -> [f32; 3] {
     let (ab, ac) = (b - a, c - a);
