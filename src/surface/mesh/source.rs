@@ -74,7 +74,7 @@ pub struct EmptyMesh {
 /// The positions of all vertices, and all triangles as indices into them.
 pub type Indexed = (Vec<[f64; 3]>, Vec<[u32; 3]>);
 
-/// What is known about a piece before it is read.
+/// The bounding box and the counts of a piece, known before the piece is read.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PieceOutline {
     /// A box that contains the piece's triangles. It may be larger than necessary.
