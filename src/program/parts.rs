@@ -12,7 +12,9 @@ use super::notes::Notes;
 use super::notes::{Verdict, print};
 use super::one_frame::{PreparedRequest, prepare, write};
 use super::options::ReconstructOptions;
-use super::report::{contents, report_cells, report_census, report_stages, warn_all};
+use super::report::{
+    contents, report_cells, report_census, report_left_out, report_stages, warn_all,
+};
 
 /// Runs the requested step: `--plan`, `--part` or `--merge`. The mesh has `count` parts.
 pub fn run(options: &ReconstructOptions, input: &Path, count: u32) -> Result<Verdict, Error> {
@@ -83,9 +85,11 @@ fn replace(options: &ReconstructOptions) -> Replace {
 
 fn plan(options: &ReconstructOptions, parts: &Parts, notes: &Notes) -> Result<Verdict, Error> {
     let planned = parts.plan()?;
-    let PartsPlan { particles, format, particle_types, cells, moved_to, indicator, .. } = &planned;
+    let PartsPlan { particles, format, particle_types, left_out, cells, .. } = &planned;
+    let PartsPlan { moved_to, indicator, .. } = &planned;
     let contents = contents(*particles, format, particle_types);
     notes.say(format!("{}: {contents}", options.inputs[0].display()));
+    report_left_out(left_out, notes);
     report_cells(cells, Some(*indicator), *moved_to, notes);
     cells.walls.iter().for_each(|found| notes.say(found.to_string()));
     report_census(&planned.census, notes);

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use bytesize::ByteSize;
 use meniscus::devices::{Counters, Device, Timing};
 use meniscus::error::{shown, significant};
+use meniscus::files::UnreadPart;
 use meniscus::mesh::MeshSource;
 use meniscus::{
     Cells, Census, IndicatorKind, Isovalue, MeasuredCalibration, OpenedFrame, Plateau, Report,
@@ -57,8 +58,7 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
         let all = opened.particles() + opened.unselected();
         notes.say(format!("{} of {all} particles left out by --where", opened.unselected()));
     }
-    let parts = opened.left_out().iter().filter(|part| part.is_unexpected());
-    parts.for_each(|part| notes.warn(&format!("meniscus left out {part}")));
+    report_left_out(opened.left_out(), notes);
     if let Some(cells) = opened.cells() {
         report_cells(cells, opened.indicator(), opened.moved_to(), notes);
     }
@@ -72,6 +72,13 @@ pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     for gap in opened.gaps_at_walls() {
         notes.warn(&warning_message(&Warning::BeforeWall(*gap), None));
     }
+}
+
+/// Prints the unexpected parts of the input that were not read.
+pub fn report_left_out(parts: &[UnreadPart], notes: &Notes) {
+    let unexpected = parts.iter().filter(|part| part.is_unexpected());
+    let warnings = unexpected.cloned().map(Warning::LeftOut);
+    warnings.for_each(|warning| notes.warn(&warning_message(&warning, None)));
 }
 
 /// Prints the cell size, the indicator, and the new origin if the grid was moved.
@@ -227,7 +234,7 @@ pub fn warn_all(warnings: &[Warning], options: Option<&ReconstructOptions>, note
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {
             *source != SpacingSource::Packed
         }
-        warning => matches!(warning, Warning::Spacing(_)),
+        warning => matches!(warning, Warning::Spacing(_) | Warning::LeftOut(_)),
     };
     let others = warnings.iter().filter(|warning| !was_printed(warning));
     others.for_each(|warning| notes.warn(&warning_message(warning, options)));

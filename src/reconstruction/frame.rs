@@ -6,8 +6,8 @@ use std::sync::Arc;
 use crate::brick::BinPlan;
 use crate::error::{Conflict, Error, Setting, SettingConflict};
 use crate::frame::{CountedFrame, Engine, FrameError, Sampling};
-use crate::io::UpAxis;
 use crate::io::mnf::write_frame;
+use crate::io::{UnreadPart, UpAxis};
 use crate::particles::Particles;
 use crate::particles::selection::{SelectedParticles, SelectionFault, select};
 use crate::system::control::Stage;
@@ -37,6 +37,8 @@ pub(super) struct FrameSamples {
     pub(super) engine: Engine,
     pub(super) cells: Option<Cells>,
     pub(super) moved: bool,
+    /// The unexpected parts of the file that were not read.
+    pub(super) left_out: Vec<UnreadPart>,
 }
 
 impl StartedRequest {
@@ -93,7 +95,7 @@ impl CheckedRequest {
     ) -> Result<FrameSamples, Error> {
         let ChosenSampling { sampling, cells, moved, plan } = chosen;
         let engine = self.engine(particles, &sampling, plan, timings)?;
-        Ok(FrameSamples { engine, cells: Some(cells), moved })
+        Ok(FrameSamples { engine, cells: Some(cells), moved, left_out: Vec::new() })
     }
 
     /// Counts particles, unless `plan` already contains their counts, and samples their field.
@@ -115,13 +117,20 @@ impl CheckedRequest {
 }
 
 impl Frame {
-    /// Warnings about the frame, its spacing and its attributes.
+    /// Warnings about the frame, its spacing, its attributes, and the parts of its file that were
+    /// not read.
     #[must_use]
     pub fn warnings(&self) -> Vec<Warning> {
         let cells = self.sampled.cells.as_ref();
-        self.request
+        let of_engine = self
+            .request
             .threads
-            .install(|| with_spacing_warnings(cells, of_frame(&self.sampled.engine)))
+            .install(|| with_spacing_warnings(cells, of_frame(&self.sampled.engine)));
+        self.parts_left_out().chain(of_engine).collect()
+    }
+
+    fn parts_left_out(&self) -> impl Iterator<Item = Warning> {
+        self.sampled.left_out.iter().cloned().map(Warning::LeftOut)
     }
 
     /// The axis that points up in the particles, as requested or as the file format implies.
@@ -176,6 +185,7 @@ impl Frame {
         })?;
         let report = &mut extracted.report;
         report.add_cells(self.sampled.cells.clone(), self.sampled.moved);
+        report.warnings.splice(..0, self.parts_left_out());
         (report.timings, report.threads) = (timings, threads.current_num_threads());
         Ok(Surface::new(extracted, checked, threads, self.up))
     }

@@ -289,10 +289,12 @@ impl OpenedFrame {
             Input::Packed(packed) => {
                 let engine =
                     Engine::from_packed(*packed, &checked.surfacing, checked.resources.clone());
-                Ok(FrameSamples { engine, cells: None, moved: false })
+                Ok(FrameSamples { engine, cells: None, moved: false, left_out: Vec::new() })
             }
             Input::Particles { file, chosen } => {
-                checked.sampled(&file.particles, *chosen, &mut timings)
+                let sampled = checked.sampled(&file.particles, *chosen, &mut timings)?;
+                let left_out = file.left_out.into_iter().filter(UnreadPart::is_unexpected);
+                Ok::<_, Error>(FrameSamples { left_out: left_out.collect(), ..sampled })
             }
         });
         let sampled = sampled.map_err(|error| error.of_file(&path))?;

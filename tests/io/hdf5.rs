@@ -10,7 +10,7 @@ use meniscus::internals::io::wanted::WantedParticles;
 use meniscus::internals::io::{ParticleFile, ReadError, ReadFault, UnreadPart, h5};
 use meniscus::internals::particles::Particles;
 use meniscus::internals::particles::selection::SelectionFault;
-use meniscus::{Error, Reconstruction};
+use meniscus::{Error, Reconstruction, Warning};
 
 use crate::common::files;
 use crate::common::particle_files::{attribute, positions};
@@ -235,8 +235,17 @@ fn a_frame_with_an_array_of_another_length_gives_a_warning() {
     fs::copy(data("shapes.h5"), folder.path().join("shapes.h5")).unwrap();
     let arguments = ["reconstruct", "shapes.h5", "-o", "m.ply", "--spacing", "0.25"];
     let messages = run(folder.path(), &arguments, 0);
-    assert!(messages.contains("warning: meniscus left out array \"vel\""), "{messages}");
+    let warning = "warning: meniscus left out array \"vel\"";
+    assert_eq!(messages.matches(warning).count(), 1, "{messages}");
     assert!(!messages.contains("bounds"), "{messages}");
+    let plan = [&arguments[..], &["--parts", "2", "--plan", "--overwrite"]].concat();
+    let messages = run(folder.path(), &plan, 0);
+    assert_eq!(messages.matches(warning).count(), 1, "{messages}");
+    let surface = Reconstruction::new().spacing(0.25).run_file(data("shapes.h5")).unwrap();
+    let left_out = |warning: &&Warning| matches!(warning, Warning::LeftOut(_));
+    let left_out: Vec<_> = surface.report().warnings.iter().filter(left_out).collect();
+    assert_eq!(left_out.len(), 1, "{left_out:?}");
+    assert!(left_out[0].to_string().contains("\"vel\""), "{left_out:?}");
 }
 
 #[test]

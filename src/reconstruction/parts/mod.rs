@@ -27,6 +27,7 @@ use crate::error::{Conflict, Error, PartsError, Setting, SettingConflict};
 use crate::field::calibration::Calibration;
 use crate::field::indicator::IndicatorKind;
 use crate::frame::Method;
+use crate::io::UnreadPart;
 use crate::io::input::file_and_step;
 use crate::io::mnf::is_packed;
 use crate::system::timings::Timings;
@@ -95,6 +96,8 @@ pub struct PartsPlan {
     /// Names of the particle types in the file. The first is the type that is read. Empty if the
     /// file has a single type without a name.
     pub particle_types: Vec<String>,
+    /// Parts of the input that were not read; empty if the plan already existed.
+    pub left_out: Vec<UnreadPart>,
     /// The chosen cells.
     pub cells: Cells,
     /// The origin to which the grid was moved because all particles are on a lattice.

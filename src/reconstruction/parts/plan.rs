@@ -13,7 +13,7 @@ use crate::io::input::open_wanted;
 use crate::io::output::MeshFormat;
 use crate::io::stamp::Stamp;
 use crate::io::whole::sweep;
-use crate::io::{ParticleFile, ReadError, ReadFault};
+use crate::io::{ParticleFile, ReadError, ReadFault, UnreadPart};
 use crate::particles::Particles;
 use crate::particles::kind::settled;
 use crate::reconstruction::checked::{CheckedRequest, StartedRequest};
@@ -28,6 +28,9 @@ use super::{ExistingPlan, PartNeeds, PartShare, Parts, PartsPlan, PartsRequest, 
 /// Number of cells near the surface for which computing the field and the mesh takes as long as
 /// binning and sampling one particle.
 const CELLS_A_PARTICLE: u64 = 4;
+
+/// The plan of a frame, the needs of each part, and the parts of the input that were not read.
+type MeasuredFrame = (SharedPlan, Vec<PartNeeds>, Vec<UnreadPart>);
 
 impl Parts {
     /// Measures the frame and divides its blocks, or reuses an existing plan of the same request.
@@ -47,7 +50,7 @@ impl Parts {
             });
         match (found, self.existing) {
             (Ok(Some(plan)), ExistingPlan::Refuse | ExistingPlan::ReplaceDiffering) => {
-                return self.describe(plan, None, &request, Timings::default());
+                return self.describe(plan, None, Vec::new(), &request, Timings::default());
             }
             (Err(fault), ExistingPlan::Refuse) => return Err(fault),
             _ => {}
@@ -55,20 +58,22 @@ impl Parts {
         let PartsRequest { checked, folder, indicator } = request;
         let started = checked.clone().on_threads()?;
         let mut timings = Timings::default();
-        let (plan, needs) = self.measured(&started, indicator, &mut timings)?;
+        let (plan, needs, left_out) = self.measured(&started, indicator, &mut timings)?;
         let save = || {
             plan.save(&folder)?;
             sweep(&folder);
             Ok::<_, PartsError>(())
         };
         checked.resources.control.cancel.undisturbed(save)?;
-        self.describe(plan, Some(needs), &PartsRequest { checked, folder, indicator }, timings)
+        let request = PartsRequest { checked, folder, indicator };
+        self.describe(plan, Some(needs), left_out, &request, timings)
     }
 
     fn describe(
         &self,
         plan: SharedPlan,
         needs: Option<Vec<PartNeeds>>,
+        left_out: Vec<UnreadPart>,
         request: &PartsRequest,
         timings: Timings,
     ) -> Result<PartsPlan, Error> {
@@ -87,6 +92,7 @@ impl Parts {
             moved_to: plan.moved.then_some(plan.origin),
             format: plan.format,
             particle_types: plan.particle_types,
+            left_out,
             cells: plan.cells,
             indicator: request.indicator,
             census: plan.census,
@@ -104,7 +110,7 @@ impl Parts {
         started: &StartedRequest,
         indicator: IndicatorKind,
         timings: &mut Timings,
-    ) -> Result<(SharedPlan, Vec<PartNeeds>), Error> {
+    ) -> Result<MeasuredFrame, Error> {
         let (StartedRequest { checked, threads }, input) = (started, &self.input);
         let stamp = || checked.settings.stamp(input);
         let before = stamp()?;
@@ -137,7 +143,7 @@ impl Parts {
         chosen: ChosenSampling,
         stamp: Stamp,
         timings: &mut Timings,
-    ) -> Result<(SharedPlan, Vec<PartNeeds>), Error> {
+    ) -> Result<MeasuredFrame, Error> {
         let ChosenSampling { sampling, cells, moved, .. } = chosen;
         let (surfacing, particles) = (&checked.surfacing, &file.particles);
         let control = &checked.resources.control;
@@ -201,7 +207,7 @@ impl Parts {
         });
         let needs = needs.collect();
         timings.done("divide");
-        Ok((plan, needs))
+        Ok((plan, needs, file.left_out))
     }
 }
 
