@@ -13,6 +13,7 @@ use crate::grid::{MortonKey, block_of_bin};
 use crate::io::ParticleFile;
 use crate::io::output::MeshFormat;
 use crate::io::vdb;
+use crate::particles::Particles;
 use crate::surface::simplify::BYTES_PER_THREAD;
 use crate::system::timings::Timings;
 
@@ -101,7 +102,10 @@ impl OpenedFrame {
             MeshFormat::Vdb { .. } => {
                 let is_whole = checked.reduction.tolerance.is_some();
                 let in_files = (!is_whole).then(|| estimate.has_surface_in_files(plan));
-                vdb::writing_bytes(estimate.in_finest_cells, in_files)
+                let attributes = file.particles.attributes();
+                let of = |&index: &usize| attributes[index].components as u64;
+                let components = sampling.carried.iter().map(of).sum();
+                vdb::writing_bytes(estimate.in_finest_cells, components, in_files)
             }
             _ if checked.settings.holds_whole_mesh(format) => [3 * estimate.surface, 0],
             _ => [0, 0],

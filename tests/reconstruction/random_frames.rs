@@ -343,7 +343,8 @@ fn outline_defect(mesh: &dyn MeshSource) -> Option<String> {
     let positions: Vec<_> = pieces.iter().flat_map(|piece| piece.positions.to_vec()).collect();
     (0..mesh.pieces()).find_map(|piece| {
         let triangles = mesh.triangles(piece).unwrap();
-        let PieceOutline { bounds, vertices, triangles: count } = mesh.piece_outline(piece)?;
+        let outline = mesh.piece_outline(piece).expect("pieces of a surface have outlines");
+        let PieceOutline { bounds, vertices, triangles: count } = outline;
         let [lo, hi] = bounds.map(DVec3::from);
         let is_within = |&vertex: &u64| {
             let position = DVec3::from(positions[vertex as usize]);

@@ -55,10 +55,12 @@ pub const HOUDINI_NAMES: [&str; 2] = ["v", "Cd"];
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
 /// Velocities are stored in half precision if their greatest absolute component is in this range.
 const HALF_VELOCITIES: Range<f32> = 1e-2..6e4;
-/// Approximate number of voxels in the band for each vertex of a mesh.
-const VOXELS_PER_VERTEX: u64 = 6;
-/// Approximate number of bytes for each vertex that the masks of the leaves take.
-const LEAF_BYTES_PER_VERTEX: u64 = 4;
+/// Number of voxels in the band for each vertex of a mesh: about 6 in large bodies, and at most
+/// about this number in spray.
+const VOXELS_PER_VERTEX: u64 = 11;
+/// Number of bytes for each vertex that the leaves take: about 4 in large bodies, and at most about
+/// this number in spray.
+const LEAF_BYTES_PER_VERTEX: u64 = 25;
 /// Number of leaves that are encoded together.
 const LEAVES_PER_CHUNK: usize = 64;
 
@@ -74,7 +76,7 @@ struct AttributeGrid {
 struct StoredValues {
     /// The distances, encoded as in the file.
     distances: Lists<u8>,
-    /// For each grid of an attribute, its numbers.
+    /// The numbers of each grid of an attribute.
     grids: Vec<Lists<f32>>,
 }
 
@@ -116,13 +118,13 @@ struct GridWriter<'a> {
     bounds: [IVec3; 2],
 }
 
-/// Approximate memory, and size of scratch files, in bytes, for writing a mesh with its velocity.
-/// `in_files` says whether the mesh is in files because it exceeds the memory limit, or `None` that
-/// it was simplified.
-pub fn writing_bytes(vertices: u64, in_files: Option<bool>) -> [u64; 2] {
-    let memory = part_bytes(vertices, in_files) + LEAF_BYTES_PER_VERTEX * vertices;
-    let of_voxel = size_of::<f16>() + size_of::<[f32; 3]>();
-    let values = VOXELS_PER_VERTEX * of_voxel as u64 * vertices;
+/// Approximate maximum memory, and size of scratch files, in bytes, for writing a mesh whose
+/// attributes have `components` components in total. `in_files` says whether the mesh is in files,
+/// or `None` that it was simplified.
+pub fn writing_bytes(vertices: u64, components: u64, in_files: Option<bool>) -> [u64; 2] {
+    let memory = part_bytes(vertices, components, in_files) + LEAF_BYTES_PER_VERTEX * vertices;
+    let of_voxel = size_of::<f16>() as u64 + components * size_of::<f32>() as u64;
+    let values = VOXELS_PER_VERTEX * of_voxel * vertices;
     if in_files == Some(true) { [memory, values] } else { [memory + values, 0] }
 }
 
@@ -130,9 +132,19 @@ pub fn writing_bytes(vertices: u64, in_files: Option<bool>) -> [u64; 2] {
 ///
 /// # Errors
 /// The errors of `mesh`, `out` and [`for_each_part`], the errors of scratch files, and
-/// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice. Only the errors
-/// of `out` and of scratch files occur after something was written.
+/// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice. After something
+/// was written, only errors of `out` and of scratch files occur, and the error of a cancelled mesh.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
+    write_in_parts(out, mesh, zip, None)
+}
+
+/// Writes a mesh like [`write_mesh`], in parts of [`for_each_part`] with `at_once` triangles.
+fn write_in_parts(
+    out: &mut dyn Write,
+    mesh: &dyn MeshSource,
+    zip: bool,
+    at_once: Option<u64>,
+) -> io::Result<()> {
     let outline = mesh.outline();
     let lattice = lattice_of(&outline).ok_or_else(|| {
         io::Error::new(
@@ -144,40 +156,36 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
     let attributes = outline.attributes;
     let grids = attribute_grids(&attributes);
     let distance = Kind::Distance { half: HALF_SIZES.contains(&lattice.step) };
-    let mut values = StoredValues::new(grids.len(), mesh.scratch_folder())?;
+    let in_scratch = |fault| in_scratch(mesh, fault);
+    let mut values = StoredValues::new(grids.len(), mesh.scratch_folder()).map_err(in_scratch)?;
     let (mut leaves, mut id): (Vec<StoredLeaf>, FileId) = Default::default();
     let mut greatest = vec![0.0; grids.len()];
-    for_each_part(mesh, lattice, |part| {
+    for_each_part(mesh, lattice, at_once, |part| {
         for (greatest, grid) in greatest.iter_mut().zip(&grids) {
             if attributes[grid.attribute].is_velocity() {
                 *greatest =
                     greater(*greatest, greatest_magnitude(&part.attributes[grid.attribute]));
             }
         }
-        let put = |grid: &AttributeGrid, to: &mut Vec<f32>, point| {
-            let info = &attributes[grid.attribute];
-            put_values(to, info, &part.attributes[grid.attribute], &grid.components, point);
+        let put = |voxel, triangle, to: &mut [Vec<f32>]| {
+            let point = part.nearest_point(triangle, voxel);
+            for (grid, to) in grids.iter().zip(to) {
+                let (info, values) =
+                    (&attributes[grid.attribute], &part.attributes[grid.attribute]);
+                put_values(to, info, values, &grid.components, point);
+            }
         };
-        let stored = |leaves| {
+        let make = |leaves| {
             mesh.go_on()?;
-            Ok(BlockValues::new(
-                leaves,
-                distance,
-                lattice,
-                |voxel, triangle, to: &mut [Vec<f32>]| {
-                    let point = part.nearest_point(triangle, voxel);
-                    grids.iter().zip(to).for_each(|(grid, to)| put(grid, to, point));
-                },
-                grids.len(),
-            ))
+            Ok(BlockValues::new(leaves, distance, lattice, grids.len(), put))
         };
-        for (block, of_block) in part.map(stored)? {
-            let Some(first) = of_block.first() else { continue };
+        part.for_each_block(make, |(block, of_block)| {
+            let Some(first) = of_block.first() else { return Ok(()) };
             id.add(first.tree.corner, &block.distances);
-            let number = values.push(block)?;
+            let number = values.push(block).map_err(in_scratch)?;
             leaves.extend(of_block.into_iter().map(|leaf| StoredLeaf { block: number, ..leaf }));
-        }
-        Ok(())
+            Ok(())
+        })
     })?;
     leaves.par_sort_unstable_by_key(|leaf| sort_key(leaf.tree.corner));
     let all_bounds = leaves.par_iter().filter_map(|leaf| leaf.tree.bounds());
@@ -190,7 +198,8 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
     let mut writer = GridWriter { out, at, mesh, lattice, zip, leaves: &leaves, voxels, bounds };
     let size = distance.bytes();
     writer.write(SURFACE, distance, None, |leaf, out| {
-        out.extend_from_slice(&values.distances.items(leaf.block as usize, leaf.range(size))?);
+        let distances = values.distances.items(leaf.block as usize, leaf.range(size));
+        out.extend_from_slice(&distances.map_err(in_scratch)?);
         Ok(())
     })?;
     for ((grid, numbers), greatest) in grids.iter().zip(&values.grids).zip(greatest) {
@@ -200,11 +209,23 @@ pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::
         let vector_type = (grid.components.len() == 3).then_some(vectors);
         writer.write(&grid.name, kind, vector_type, |leaf, out| {
             let range = leaf.range(grid.components.len());
-            kind.put_all(out, &numbers.items(leaf.block as usize, range)?);
+            let numbers = numbers.items(leaf.block as usize, range);
+            kind.put_all(out, &numbers.map_err(in_scratch)?);
             Ok(())
         })?;
     }
     Ok(())
+}
+
+/// An error of a scratch file, with the folder of scratch files.
+fn in_scratch(mesh: &dyn MeshSource, fault: io::Error) -> io::Error {
+    match mesh.scratch_folder() {
+        Some(folder) => io::Error::other(format!(
+            "cannot use scratch files in {}: {fault}; use another folder for them",
+            folder.display()
+        )),
+        None => fault,
+    }
 }
 
 impl StoredValues {
@@ -230,14 +251,14 @@ impl StoredValues {
 }
 
 impl BlockValues {
-    /// Collects the values of a block with `grids` grids of attributes, and its leaves. `put`
-    /// appends the numbers of a voxel, whose nearest triangle it gets, to the numbers of each grid.
+    /// Collects the values of a block for `grids` grids of attributes, and its leaves. For a voxel
+    /// and its nearest triangle, `put` appends the numbers of each grid.
     fn new(
         leaves: Vec<Leaf>,
         distance: Kind,
         lattice: Lattice,
-        put: impl Fn(IVec3, u32, &mut [Vec<f32>]),
         grids: usize,
+        put: impl Fn(IVec3, u32, &mut [Vec<f32>]),
     ) -> (Self, Vec<StoredLeaf>) {
         let (mut distances, mut grids) = (Vec::new(), vec![Vec::new(); grids]);
         let (size, mut end) = (lattice.step as f32, 0);
@@ -443,4 +464,26 @@ fn attribute_grids(infos: &[AttributeInfo]) -> Vec<AttributeGrid> {
     let names = unique_names(grids.iter().map(|grid| &*grid.name), &[SURFACE], str::to_owned);
     grids.iter_mut().zip(names).for_each(|(grid, name)| grid.name = name);
     grids
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::level_set::WavySheet;
+
+    #[test]
+    fn a_mesh_in_parts_has_the_bytes_of_the_whole_mesh() {
+        let written = |zip, at_once| {
+            let mut bytes = Vec::new();
+            write_in_parts(&mut bytes, &WavySheet, zip, Some(at_once)).unwrap();
+            bytes
+        };
+        for zip in [false, true] {
+            let whole = written(zip, u64::MAX);
+            assert!(whole.len() > 1 << 20, "{}", whole.len());
+            for at_once in [20_000, 100_000] {
+                assert!(written(zip, at_once) == whole, "{at_once}");
+            }
+        }
+    }
 }

@@ -22,6 +22,8 @@ use rayon::prelude::*;
 use crate::surface::mesh::source::{Lattice, Outline};
 
 use band::{Band, MARGIN};
+#[cfg(test)]
+pub use parts::wavy_sheet::WavySheet;
 pub use parts::{for_each_part, part_bytes};
 pub use volume::Volume;
 
@@ -45,6 +47,8 @@ const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the 
                        use larger cells";
 /// The lattice of an empty mesh.
 const UNIT: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+/// Number of blocks for each thread that are computed together.
+const BLOCKS_PER_THREAD: usize = 8;
 /// Number of triangles that one task assigns to blocks.
 const TRIANGLES_TOGETHER: usize = 1 << 14;
 
@@ -130,16 +134,17 @@ impl LevelSet {
         self.positions[vertex as usize]
     }
 
-    /// Calls `make` with the leaves of each block, on all threads, and returns the results in an
-    /// order that depends only on the mesh. While it runs, its lists take about 6 bytes for each
-    /// triangle.
+    /// Calls `make` with the leaves of each block, on all threads, and `take` with the results, one
+    /// after another. The order depends only on the mesh. The results of a few blocks are in memory
+    /// at a time. While it runs, its lists take about 6 bytes for each triangle.
     ///
     /// # Errors
-    /// If `make` fails for a block.
-    pub fn map<T: Send>(
+    /// If `make` or `take` fails for a block.
+    pub fn for_each_block<T: Send>(
         &self,
         make: impl Fn(Vec<Leaf>) -> io::Result<T> + Sync,
-    ) -> io::Result<Vec<T>> {
+        mut take: impl FnMut(T) -> io::Result<()>,
+    ) -> io::Result<()> {
         let block = |band: &mut Band, (block, lists): BlockLists| {
             let corner = first_voxel(block).as_dvec3();
             band.begin(lists.iter().map(Vec::len).sum());
@@ -149,7 +154,16 @@ impl LevelSet {
             }
             make(band.leaves(block))
         };
-        self.blocks().into_par_iter().map_init(Band::new, block).collect()
+        let mut blocks = self.blocks().into_iter();
+        let at_once = BLOCKS_PER_THREAD * rayon::current_num_threads();
+        loop {
+            let next: Vec<_> = blocks.by_ref().take(at_once).collect();
+            if next.is_empty() {
+                return Ok(());
+            }
+            let made = next.into_par_iter().map_init(Band::new, &block);
+            made.collect::<io::Result<Vec<T>>>()?.into_iter().try_for_each(&mut take)?;
+        }
     }
 
     /// The blocks with triangles nearby, in the order of their first triangles.
@@ -258,11 +272,22 @@ mod tests {
     /// The level set of a whole mesh.
     fn whole(mesh: &Mesh, lattice: Lattice) -> io::Result<LevelSet> {
         let mut whole = LevelSet::default();
-        for_each_part(mesh, lattice, |part| {
+        for_each_part(mesh, lattice, None, |part| {
             whole = part;
             Ok(())
         })?;
         Ok(whole)
+    }
+
+    /// All leaves.
+    fn leaves(level_set: &LevelSet) -> Vec<Leaf> {
+        let mut all = Vec::new();
+        let take = |leaves| {
+            all.extend::<Vec<Leaf>>(leaves);
+            Ok(())
+        };
+        level_set.for_each_block(Ok, take).unwrap();
+        all
     }
 
     /// The distance of a voxel from the surface, computed from the weights of the nearest
@@ -297,7 +322,7 @@ mod tests {
     /// in the band.
     fn check_distances(level_set: &LevelSet) -> i32 {
         let mut checked = 0;
-        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+        for leaf in leaves(level_set) {
             let mut distances = leaf.distances.iter();
             for i in 0..VOXELS {
                 let at = leaf.corner + place_in_leaf(i);
@@ -321,7 +346,7 @@ mod tests {
     fn check_octahedron(centre: [f64; 3], radii: [f64; 3]) -> i32 {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
         let level_set = whole(&octahedron(centre, radii), lattice).unwrap();
-        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+        for leaf in leaves(&level_set) {
             for i in 0..VOXELS {
                 let at = leaf.corner + place_in_leaf(i);
                 let from_centre = (at.as_dvec3() - DVec3::from(centre)) / DVec3::from(radii);
@@ -438,7 +463,7 @@ mod tests {
             let (low, size) = (DVec3::from(low), DVec3::from(size.map(f64::from)));
             let mut checked = 0;
             // Each block reuses the memory of the blocks before it.
-            for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+            for leaf in leaves(&level_set) {
                 for i in 0..VOXELS {
                     let at = leaf.corner + place_in_leaf(i);
                     let from_faces = (at.as_dvec3() - low).min(low + size - at.as_dvec3());
@@ -465,7 +490,7 @@ mod tests {
             let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
             let level_set = whole(&mesh, lattice).unwrap();
             let mut checked = 0;
-            for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+            for leaf in leaves(&level_set) {
                 for i in 0..VOXELS {
                     let at = (leaf.corner + place_in_leaf(i)).as_dvec3();
                     let [a, b] = centres.map(|centre| {
@@ -492,7 +517,7 @@ mod tests {
         let lattice = Lattice { origin: [0.0; 3], step: 1.0 };
         let level_set = whole(&mesh, lattice).unwrap();
         let mut checked = 0;
-        for leaf in level_set.map(Ok).unwrap().into_iter().flatten() {
+        for leaf in leaves(&level_set) {
             for i in 0..VOXELS {
                 let at = leaf.corner + place_in_leaf(i);
                 let from_small = (at.as_dvec3() - DVec3::new(18.3, 0.2, 0.1)).abs().element_sum();

@@ -21,17 +21,17 @@ use super::{FARTHEST, LevelSet, TOO_FAR, block_of, invalid};
 /// Maximum number of triangles in the pieces of a part with more than one block, for a mesh in
 /// files and for a mesh in memory.
 const TRIANGLES_AT_ONCE: [u64; 2] = [1 << 20, 1 << 21];
-/// Approximate memory, in bytes for each vertex, to read a part and its attributes and to list its
+/// Approximate memory, in bytes for each vertex, to read a part without attributes and to list its
 /// triangles by blocks. A mesh has two triangles for each vertex.
-const VERTEX_BYTES: u64 = 120;
+const VERTEX_BYTES: u64 = 108;
 
 /// Approximate memory, in bytes, that [`for_each_part`] needs for a mesh with this number of
-/// vertices. `in_files` says whether the mesh is in files, or `None` that its pieces have no
-/// outlines.
-pub fn part_bytes(vertices: u64, in_files: Option<bool>) -> u64 {
+/// vertices, whose attributes have `components` components in total. `in_files` says whether the
+/// mesh is in files, or `None` that its pieces have no outlines.
+pub fn part_bytes(vertices: u64, components: u64, in_files: Option<bool>) -> u64 {
     let [files, memory] = TRIANGLES_AT_ONCE.map(|triangles| triangles / 2);
     let most = in_files.map_or(u64::MAX, |in_files| if in_files { files } else { memory });
-    VERTEX_BYTES * vertices.min(most)
+    (VERTEX_BYTES + components * size_of::<f32>() as u64) * vertices.min(most)
 }
 
 /// Blocks, and the pieces with triangles near them, in ascending order.
@@ -42,7 +42,8 @@ struct Part {
 
 /// Calls `take` with each part of a closed mesh. Together, the parts have each block exactly once.
 /// A part takes 24 bytes for each vertex, 12 bytes for each triangle, and the memory of all
-/// attributes.
+/// attributes. `at_once` replaces the usual maximum number of triangles in the pieces of a part with
+/// more than one block. The division changes no distance.
 ///
 /// # Errors
 /// If `mesh` cannot be read; [`io::ErrorKind::InvalidInput`] for a mesh with too many vertices or
@@ -50,21 +51,12 @@ struct Part {
 pub fn for_each_part(
     mesh: &dyn MeshSource,
     lattice: Lattice,
-    take: impl FnMut(LevelSet) -> io::Result<()>,
-) -> io::Result<()> {
-    let [in_files, in_memory] = TRIANGLES_AT_ONCE;
-    let at_once = if mesh.scratch_folder().is_some() { in_files } else { in_memory };
-    for_each_part_of(mesh, lattice, at_once, take)
-}
-
-/// [`for_each_part`], with at most `at_once` triangles in the pieces of a part with more than one
-/// block.
-fn for_each_part_of(
-    mesh: &dyn MeshSource,
-    lattice: Lattice,
-    at_once: u64,
+    at_once: Option<u64>,
     mut take: impl FnMut(LevelSet) -> io::Result<()>,
 ) -> io::Result<()> {
+    let [in_files, in_memory] = TRIANGLES_AT_ONCE;
+    let usual = if mesh.scratch_folder().is_some() { in_files } else { in_memory };
+    let at_once = at_once.unwrap_or(usual);
     let Outline { vertices, triangles, pieces, .. } = mesh.outline();
     if vertices > u64::from(u32::MAX) || triangles >= u64::from(u32::MAX) {
         return Err(invalid("a level set needs a mesh of at most 4294967295 triangles"));
@@ -180,9 +172,9 @@ fn read_part(
     let numbers: Vec<(Range<u64>, u64)> = of_vertices
         .iter()
         .map(|&piece| {
-            let range = firsts[piece]..firsts[piece + 1];
+            let (range, first) = (firsts[piece]..firsts[piece + 1], of_part);
             of_part += range.end - range.start;
-            (range.clone(), of_part - (range.end - range.start))
+            (range, first)
         })
         .collect();
     let corners = |triangles: Vec<[u64; 3]>| -> Vec<[u32; 3]> {
@@ -229,21 +221,23 @@ fn read_vertices(
     Ok(part)
 }
 
+/// A mesh for tests whose pieces have outlines.
 #[cfg(test)]
-mod tests {
+pub mod wavy_sheet {
     use super::*;
-    use crate::surface::level_set::{Leaf, place_in_leaf};
+    use crate::particles::AttributeInfo;
     use crate::surface::mesh::source::{Vertices, bounds_of};
 
-    const LATTICE: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
+    /// The lattice of the sheet.
+    pub const LATTICE: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
     /// Number of vertices along the edge of a piece.
     const EDGE: usize = 24;
     /// Number of pieces along each axis.
-    const PIECES: usize = 12;
+    pub const PIECES: usize = 12;
 
     /// A wavy surface, whose squares are divided into pieces. Both sides have the same triangles,
     /// in opposite directions, so the mesh is closed.
-    struct WavySheet;
+    pub struct WavySheet;
 
     fn vertex(x: usize, y: usize) -> [f64; 3] {
         let [x, y] = [x, y].map(|place| place as f64 - 100.3);
@@ -271,13 +265,17 @@ mod tests {
                 vertices: (pieces * EDGE * EDGE) as u64,
                 triangles: triangles.sum(),
                 pieces,
+                lattice: Some(LATTICE),
+                attributes: vec![AttributeInfo::new("velocity", 3)],
                 ..Outline::default()
             }
         }
 
         fn vertices(&self, piece: usize) -> io::Result<Vertices<'_>> {
             let positions: Vec<_> = Self::squares(piece).map(|[x, y]| vertex(x, y)).collect();
-            Ok(Vertices { positions: positions.into(), ..Vertices::default() })
+            let velocities: Vec<_> = positions.iter().flatten().map(|&x| x as f32 / 3.0).collect();
+            let attributes = vec![velocities.into()];
+            Ok(Vertices { positions: positions.into(), attributes, ..Vertices::default() })
         }
 
         fn triangles(&self, piece: usize) -> io::Result<Vec<[u64; 3]>> {
@@ -302,14 +300,26 @@ mod tests {
             })
         }
     }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::wavy_sheet::{LATTICE, PIECES, WavySheet};
+    use super::*;
+    use crate::surface::level_set::{Leaf, place_in_leaf};
 
     /// All leaves in the order of their corners, with the point of the mesh that is nearest to each
     /// voxel; and the number of parts.
     fn leaves(at_once: u64) -> (Vec<(Leaf, Vec<DVec3>)>, usize) {
         let (mut all, mut parts) = (Vec::new(), 0);
-        for_each_part_of(&WavySheet, LATTICE, at_once, |part| {
+        for_each_part(&WavySheet, LATTICE, Some(at_once), |part| {
             parts += 1;
-            for leaf in part.map(Ok)?.into_iter().flatten() {
+            let mut leaves: Vec<Leaf> = Vec::new();
+            part.for_each_block(Ok, |of_block: Vec<Leaf>| {
+                leaves.extend(of_block);
+                Ok(())
+            })?;
+            for leaf in leaves {
                 let active = (0..512).filter(|i| leaf.active[i / 64] >> (i % 64) & 1 == 1);
                 let nearest = active.zip(&leaf.triangles).map(|(i, &triangle)| {
                     let nearest = part.nearest_point(triangle, leaf.corner + place_in_leaf(i));

@@ -33,13 +33,15 @@ impl Volume {
     pub fn of(mesh: &dyn MeshSource) -> io::Result<Self> {
         let lattice = lattice_of(&mesh.outline()).ok_or(io::ErrorKind::InvalidInput)?;
         let mut leaves: Vec<Leaf> = Vec::new();
-        for_each_part(mesh, lattice, |part| {
-            let of_blocks = part.map(|leaves| {
+        for_each_part(mesh, lattice, None, |part| {
+            let of_block = |leaves| {
                 mesh.go_on()?;
                 Ok(leaves)
-            })?;
-            leaves.extend(of_blocks.into_iter().flatten());
-            Ok(())
+            };
+            part.for_each_block(of_block, |of_block: Vec<Leaf>| {
+                leaves.extend(of_block);
+                Ok(())
+            })
         })?;
         leaves.par_sort_unstable_by_key(|leaf| leaf.corner.to_array());
         let Lattice { origin, step: voxel_size } = lattice;

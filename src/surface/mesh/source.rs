@@ -137,7 +137,7 @@ pub trait MeshSource: Sync {
         None
     }
 
-    /// The folder for scratch files, if the mesh is in files because it exceeds the memory limit.
+    /// The folder for scratch files, if the mesh is in files.
     fn scratch_folder(&self) -> Option<&Path> {
         None
     }
