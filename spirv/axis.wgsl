@@ -3,7 +3,7 @@
 // the axis, so that it reads each sample once for all pairs.
 
 struct AxisPush {
-    // The planes of the mirrors, in halves of a cell.
+    // The coordinates of the planes at which fields are mirrored, in units of half a cell.
     mirror_lo: vec3<i32>,
     axis: u32,
     mirror_hi: vec3<i32>,

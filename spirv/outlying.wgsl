@@ -5,7 +5,7 @@
 struct OutlyingPush {
     // The number of words in each field.
     words: u32,
-    // The minimum sample of a cell that contains a particle's centre.
+    // A cell contains a particle's centre if its sample is at least this number.
     least: u32,
     // The distances at which drops and sheets begin to stand out.
     begin: u32,

@@ -213,8 +213,8 @@ settings! {
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
     /// position. Some files store each type of particle separately: SWIFT and GADGET snapshots in
     /// groups such as PartType1, PySPH files in arrays, and openPMD files in species. type=NAME
-    /// selects one of them. If there are several types, the default is PartType0, fluid or, if no
-    /// other type can be a liquid, gas.
+    /// selects one of them. If there are several types, the default is PartType0 or fluid. The
+    /// default is gas only if no other type can be a liquid.
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 

@@ -341,7 +341,7 @@ impl BinPlan {
         let slots = Slots::new(census.binned, &components);
         let (binned, mut next) = (census.binned, first.clone());
         // `cursors` has the next free slot of each bin in each range. For a bin without particles,
-        // it has the end of all slots.
+        // the entry is the number of all slots.
         let cursors: Vec<Vec<usize>> = ranges
             .iter()
             .map(|RangePlan { table, ranks, .. }| {

@@ -245,7 +245,9 @@ fn files() -> String {
         OnlyPrimitives(primitives("volume", 1, 1)),
         OnlyPrimitives(primitives("PackedGeometry primitive", 2, 2)),
         Twice { other: path("a.bgeo") },
-        Incomplete("frame 2 has no piece 1, but other frames do; add the piece".into()),
+        Incomplete(
+            "frame 2 has no file for piece 1, but other frames have one; add the file".into(),
+        ),
         ColourScale {
             attribute: "Cd".into(),
             scale: ColourScale::Bytes,

@@ -298,7 +298,8 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
             let word = before.trim_end_matches(char::is_alphabetic).len();
             let word = before[word..].to_ascii_lowercase();
             if !word.is_empty() && !FRAMES.contains(&word.as_str()) {
-                // In `case1_rank0`, for example, `rank0` may also be a frame of `case1`.
+                // In `case1_rank0`, for example, `rank0` may be a piece, or a frame of the
+                // simulation `case1`.
                 return Ok(PiecesGuess::Unclear);
             }
             if files.iter().any(|file| is_padded(file.digits(*piece))) {
@@ -366,11 +367,11 @@ fn in_pieces(file: &FrameCandidate, frame: usize, piece: usize) -> Pattern {
     pattern
 }
 
-/// Whether the runs in `others` distinguish simulations whose frames are numbered by the run
-/// `last`. There must be fewer simulations than frames in the longest one, and at least half of the
-/// frame numbers of each simulation must also occur in the longest one. If all simulations have the
-/// same numbers 0, 1, 2 and so on, these can be the numbers of pieces, so the result is false. The
-/// exception is numbers that are padded like frame numbers.
+/// Whether the runs of digits in `others` distinguish simulations, and the run of digits `last` is
+/// the number of the frame. There must be fewer simulations than frames in the longest one, and at
+/// least half of the frame numbers of each simulation must also occur in the longest one. If all
+/// simulations have the same numbers 0, 1, 2 and so on, these can be the numbers of pieces, so the
+/// result is false unless the numbers are padded with zeros like frame numbers.
 fn are_parallel_simulations(files: &[&FrameCandidate], others: &[usize], last: usize) -> bool {
     let mut simulations: BTreeMap<Vec<&str>, BTreeSet<&str>> = BTreeMap::new();
     for file in files {

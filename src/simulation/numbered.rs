@@ -48,7 +48,9 @@ pub(super) fn group_by_number(
     let mut joined = Vec::new();
     for (number, pieces) in frames {
         let lacking = all.iter().find(|piece| !pieces.contains_key(piece)).map(|piece| {
-            format!("frame {number} has no piece {piece}, but other frames do; add the piece")
+            format!(
+                "frame {number} has no file for piece {piece}, but other frames have one; add the file"
+            )
         });
         let mut pieces = pieces.into_values();
         if let Some((digits, path)) = pieces.next() {

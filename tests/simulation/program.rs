@@ -1612,7 +1612,10 @@ fn the_files_of_one_frame_are_merged_into_one_surface() {
     fs::remove_file(folder.path().join("ranks/f_2_rank1.xyz")).unwrap();
     fs::remove_file(folder.path().join("fluids/oil_2.xyz")).unwrap();
     for (n, (inputs, lacking)) in [
-        (&["ranks/f_{}_rank{piece}.xyz"][..], "ranks/f_2_rank0.xyz: frame 2 has no piece 1"),
+        (
+            &["ranks/f_{}_rank{piece}.xyz"][..],
+            "ranks/f_2_rank0.xyz: frame 2 has no file for piece 1",
+        ),
         (&["fluids", "--together"], "fluids/air_2.xyz: "),
     ]
     .into_iter()
@@ -1860,8 +1863,8 @@ fn an_integer_colour_keeps_the_scale_of_the_calibration_frame() {
     let errors = run(folder.path(), &all, 1);
     assert!(errors.contains("\"Cd\" has the value 300"), "{errors}");
     assert_eq!(made(3).0, "color");
-    // If the calibration frame has 32-bit integers above 255, the attribute is no colour in any
-    // frame.
+    // If the calibration frame has 32-bit integers above 255, the attribute does not count as a
+    // colour in any frame.
     write("int", [300.0, 20.0, 4.0, 200.0]);
     run(folder.path(), &all, 0);
     for (frame, expected) in [(1, 300.0), (4, 200.0)] {

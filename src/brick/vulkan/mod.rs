@@ -96,7 +96,8 @@ impl DeviceBlock {
         self.size.iter().product::<u32>() / 2
     }
 
-    /// The greatest of the three numbers of runs of words: along x, along y and along z.
+    /// The number of runs of up to `RUN` words into which the block is divided along the axis that
+    /// gives the most runs.
     fn runs(&self) -> u32 {
         let [x, y, z] = [self.size[0] / 2, self.size[1], self.size[2]];
         let along = |axis: u32, others: u32| axis.div_ceil(RUN) * others;

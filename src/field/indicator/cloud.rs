@@ -44,7 +44,8 @@ impl Amount {
 pub const GAIN_BITS: u32 = 12;
 /// The gain of a layer that is one cell thick.
 const NO_GAIN: u32 = 1 << GAIN_BITS;
-/// The greatest gain: no layer in a tank is thinner than half a cell.
+/// The greatest gain. A gain is 1 divided by the thickness of a layer in cells, and no layer in a
+/// tank is thinner than half a cell.
 const MOST_GAIN: f64 = 2.0;
 /// The minimum width of a tank, in spacings, in which its outermost layers have gains. In narrower
 /// tanks, such as the slab of two-dimensional particles, particles do not fill the layers evenly.

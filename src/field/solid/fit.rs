@@ -43,8 +43,7 @@ type Plane = [Vec<f64>; ALONG_Y.len()];
 pub struct LinearFit<'a> {
     dense: &'a Block,
     usable: &'a Block,
-    /// For each cell, the greatest density among the cells within the Gaussian's reach whose share
-    /// is not 0.
+    /// For each cell, the greatest density among the usable cells within the Gaussian's reach.
     greatest: Block,
     /// The weights, times the distance from the centre to the power of 0, 1 and 2.
     weights: [Vec<f64>; 3],

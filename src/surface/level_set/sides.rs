@@ -294,8 +294,8 @@ impl Sides {
         voted
     }
 
-    /// Gives the deep voxels of a column the sides that were voted for, and the other voxels the
-    /// sides that fit best.
+    /// Sets the sides of a column's voxels: deep voxels get the sides that were voted for, and the
+    /// others those of the candidate that agrees best with the votes.
     fn apply_vote(&mut self, column: usize, voted: u64, deep: u64) {
         let candidates = if self.is_crossed(column) {
             [0, -1, 1].map(|least| self.crossed(column, least))

@@ -370,7 +370,8 @@ pub struct Container {
     pub chunk: usize,
     /// The uncompressed size of a block, in bytes.
     pub block: usize,
-    /// Whether each block is compressed as several streams, one for each byte of its numbers.
+    /// Whether each block is compressed as several streams: one for the first bytes of all numbers,
+    /// one for the second bytes, and so on.
     pub split: bool,
 }
 

@@ -54,8 +54,8 @@ pub unsafe fn read<T: SizedStruct>(at: *const T, what: &str) -> Outcome<T> {
     }
     // SAFETY: zeros are valid for all fields of a `SizedStruct`.
     let mut value: T = unsafe { std::mem::zeroed() };
-    // SAFETY: `known` is at most as long as `value`, and all bytes of the caller are valid in a
-    // `SizedStruct`.
+    // SAFETY: `known` is at most as long as `value`, and the fields of a `SizedStruct` may have any
+    // bytes.
     unsafe { std::ptr::copy_nonoverlapping(known.as_ptr(), (&raw mut value).cast(), known.len()) };
     Ok(value)
 }
