@@ -214,7 +214,7 @@ impl Images<'_> {
     ) {
         let wanted = first as u64..(first + count) as u64;
         // `begin` is the last group whose images begin at or before the first wanted image. Earlier
-        // groups with the same entry in `before` are empty.
+        // groups with the same entry in `before` have no images.
         let begin = self.before.partition_point(|&before| before <= wanted.start).saturating_sub(1);
         let ends = self.before[1..].iter().enumerate().skip(begin);
         let groups = ends.take_while(|&(group, _)| self.before[group] < wanted.end);

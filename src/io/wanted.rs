@@ -27,7 +27,7 @@ pub struct WantedParticles<'a> {
     pub attributes: WantedAttributes<'a>,
     /// Conditions by which particles are selected. If an input has several types of particles, a
     /// condition such as `type=wall` names the type to read. Without such a condition, the type is
-    /// PartType0, fluid or, if no other type can be a liquid, gas.
+    /// PartType0 or fluid. It is gas only if no other type can be a liquid.
     pub conditions: &'a [Where],
     /// Pieces to read, for an input in several files.
     pub pieces: WantedPieces<'a>,
