@@ -245,9 +245,7 @@ fn files() -> String {
         OnlyPrimitives(primitives("volume", 1, 1)),
         OnlyPrimitives(primitives("PackedGeometry primitive", 2, 2)),
         Twice { other: path("a.bgeo") },
-        Incomplete(
-            "frame 2 has no file for piece 1, but other frames have one; add the file".into(),
-        ),
+        Incomplete("frame 2 has no file for piece 1, but others have one; add the file".into()),
         ColourScale {
             attribute: "Cd".into(),
             scale: ColourScale::Bytes,

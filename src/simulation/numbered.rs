@@ -49,8 +49,7 @@ pub(super) fn group_by_number(
     for (number, pieces) in frames {
         let lacking = all.iter().find(|piece| !pieces.contains_key(piece)).map(|piece| {
             format!(
-                "frame {number} has no file for piece {piece}, but other frames have one; add \
-                 the file"
+                "frame {number} has no file for piece {piece}, but others have one; add the file"
             )
         });
         let mut pieces = pieces.into_values();
