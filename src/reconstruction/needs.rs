@@ -100,7 +100,7 @@ impl OpenedFrame {
         let simplified = [BYTES_PER_THREAD * checked.threads as u64, 3 * estimate.surface];
         let [writing, writing_scratch] = match format {
             MeshFormat::Vdb { .. } => {
-                let is_whole = checked.reduction.tolerance.is_some();
+                let is_whole = !checked.reduction.is_none();
                 let in_files = (!is_whole).then(|| estimate.has_surface_in_files(plan));
                 let attributes = file.particles.attributes();
                 let of = |&index: &usize| attributes[index].components as u64;

@@ -120,7 +120,7 @@ struct GridWriter<'a> {
 
 /// Approximate maximum memory, and size of scratch files, in bytes, for writing a mesh whose
 /// attributes have `components` components in total. `in_files` says whether the mesh is in files,
-/// or `None` that it was simplified.
+/// or `None` that it was reduced.
 pub fn writing_bytes(vertices: u64, components: u64, in_files: Option<bool>) -> [u64; 2] {
     let memory = part_bytes(vertices, components, in_files) + LEAF_BYTES_PER_VERTEX * vertices;
     let of_voxel = size_of::<f16>() as u64 + components * size_of::<f32>() as u64;
