@@ -217,8 +217,8 @@ impl MeshFormat {
 
     /// Whether the writer keeps much of a mesh in memory. A .stl needs the positions of all
     /// vertices (24 bytes each), a compressed .glb needs all data to compress, and a .vdb needs
-    /// parts of the mesh and often the values of all voxels. An uncompressed .glb needs 4 bytes per vertex. The other formats
-    /// need a few pieces per thread.
+    /// parts of the mesh and often the values of all voxels. An uncompressed .glb needs 4 bytes per
+    /// vertex. The other formats need a few pieces per thread.
     #[must_use]
     pub fn holds_whole_mesh(self) -> bool {
         let compressed =

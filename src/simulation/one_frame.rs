@@ -372,7 +372,7 @@ impl Conversion<'_> {
     }
 
     /// Returns how much of a lane's memory is for the frame itself. The rest is for simplifying,
-    /// for a writer that holds the whole mesh, and for the frame's own solids.
+    /// for a writer that needs much memory, and for the frame's own solids.
     fn frame_budget(&self, checked: &CheckedRequest, lane: MemoryBudget) -> MemoryBudget {
         let CheckedRequest { settings, reduction, surfacing, .. } = self.setup.checked;
         let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());

@@ -42,12 +42,13 @@ struct Part {
 
 /// Calls `take` with each part of a closed mesh. Together, the parts have each block exactly once.
 /// A part takes 24 bytes for each vertex, 12 bytes for each triangle, and the memory of all
-/// attributes. `at_once` replaces the usual maximum number of triangles in the pieces of a part with
-/// more than one block. The division changes no distance.
+/// attributes. `at_once` replaces the usual maximum number of triangles in the pieces of a part
+/// with more than one block. The division changes no distance.
 ///
 /// # Errors
-/// If `mesh` cannot be read; [`io::ErrorKind::InvalidInput`] for a mesh with too many vertices or
-/// triangles, or with coordinates that are not finite or too large; and the errors of `take`.
+/// If `mesh` cannot be read; [`io::ErrorKind::OutOfMemory`] if there is too little memory;
+/// [`io::ErrorKind::InvalidInput`] for a mesh with too many vertices or triangles, or with
+/// coordinates that are not finite or too large; and the errors of `take`.
 pub fn for_each_part(
     mesh: &dyn MeshSource,
     lattice: Lattice,
@@ -140,7 +141,7 @@ fn whole(mesh: &dyn MeshSource, lattice: Lattice) -> io::Result<LevelSet> {
         Ok(triangles.map(|corners| corners.map(|vertex| vertex as u32)).collect())
     };
     let triangles: Vec<_> = pieces.into_par_iter().map(triangles).collect::<io::Result<_>>()?;
-    part.triangles = triangles.concat();
+    part.triangles = joined(&triangles)?;
     Ok(part)
 }
 
@@ -189,7 +190,7 @@ fn read_part(
         triangles.into_iter().map(|corners| corners.map(&mut number)).collect()
     };
     let triangles: Vec<_> = triangles.into_par_iter().map(corners).collect();
-    part.triangles = triangles.concat();
+    part.triangles = joined(&triangles)?;
     part.part = Some(blocks);
     Ok(part)
 }
@@ -211,14 +212,22 @@ fn read_vertices(
     };
     let read: Vec<(Vec<DVec3>, Vec<Vec<f32>>)> =
         pieces.into_par_iter().map(read).collect::<io::Result<_>>()?;
-    let mut part = LevelSet::default();
-    part.attributes.resize(mesh.attributes().len(), Vec::new());
-    part.positions.reserve_exact(read.iter().map(|(places, _)| places.len()).sum());
-    for (places, attributes) in read {
-        part.positions.extend(places);
-        part.attributes.iter_mut().zip(attributes).for_each(|(all, values)| all.extend(values));
-    }
-    Ok(part)
+    let (places, of_pieces): (Vec<_>, Vec<_>) = read.into_iter().unzip();
+    let attribute = |i: usize| joined(of_pieces.iter().map(|attributes| &attributes[i]));
+    let attributes = (0..mesh.attributes().len()).map(attribute).collect::<io::Result<_>>()?;
+    Ok(LevelSet { positions: joined(&places)?, attributes, ..LevelSet::default() })
+}
+
+/// The items of all lists, or an error if memory is full.
+fn joined<'a, T: Copy + 'a>(
+    lists: impl IntoIterator<Item = &'a Vec<T>, IntoIter: Clone>,
+) -> io::Result<Vec<T>> {
+    let lists = lists.into_iter();
+    let mut all = Vec::new();
+    let count = lists.clone().map(Vec::len).sum();
+    all.try_reserve_exact(count).map_err(|_| io::ErrorKind::OutOfMemory)?;
+    lists.for_each(|list| all.extend_from_slice(list));
+    Ok(all)
 }
 
 /// A mesh for tests whose pieces have outlines.
