@@ -11,6 +11,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::beside::FolderInProgress;
 use super::bytes::{Bytes, open_bytes, open_whole};
 use super::compression::plain_name;
+use super::input_format::InputFormat;
 use super::vtp::divided::{Divided, MOST_TRIANGLES};
 use super::whole::{FilledFile, MadeFolders, Replace, WholeFile, fault_of};
 use super::{CoordinateWidth, ReadError, ReadFault, UpAxis, WriteError, WriteFault};
@@ -80,6 +81,10 @@ impl MeshFormat {
     pub const KNOWN: &'static str =
         ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .usdc, .glb, .bgeo.sc, .abc and .vdb";
 
+    /// The extensions of the meshes that this library can read, for messages.
+    pub const KNOWN_MESHES: &'static str =
+        ".ply, .obj, .vtk, .vtp, .pvtp, .vtkhdf, .stl, .bgeo, .bgeo.sc and .geo";
+
     /// The format that the extension of `path` implies. The case of the extension does not matter.
     #[must_use]
     pub fn of(path: &Path) -> Option<Self> {
@@ -129,10 +134,7 @@ impl MeshFormat {
     /// Whether this library can read the format.
     #[must_use]
     pub fn is_read(self) -> bool {
-        !matches!(
-            self,
-            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Abc(_) | Self::Vdb { .. }
-        )
+        !matches!(self, Self::Usdc(_) | Self::Glb(_) | Self::Abc(_) | Self::Vdb { .. })
     }
 
     /// Whether the format can store normals of vertices.
@@ -332,9 +334,12 @@ impl MeshFormat {
             Self::Pvtp => Err(ReadFault::Unsupported(several_files().to_string())),
             Self::VtkHdf => read_hdf(bytes.to_vec().into()),
             Self::Stl => stl::read_mesh(bytes),
-            Self::Usdc(_) | Self::Glb(_) | Self::BgeoSc | Self::Abc(_) | Self::Vdb { .. } => {
-                let what =
-                    format!("cannot read {self} meshes; convert the particles to .ply instead");
+            Self::BgeoSc => houdini::read_mesh(bytes.to_vec().into()),
+            Self::Usdc(_) | Self::Glb(_) | Self::Abc(_) | Self::Vdb { .. } => {
+                let what = format!(
+                    "meniscus cannot read {self} meshes; save the mesh in another format, such as \
+                     .ply"
+                );
                 Err(ReadFault::Unsupported(what))
             }
         }
@@ -348,12 +353,15 @@ impl MeshFormat {
 /// The errors of [`MeshFormat::read`], [`ReadFault::Io`] if the file cannot be opened or read, and
 /// [`ReadFault::UnknownExtension`].
 pub fn read_mesh(path: &Path) -> Result<Mesh, ReadError> {
-    let unknown = || ReadError::new(path, ReadFault::UnknownExtension { known: MeshFormat::KNOWN });
-    let format = mesh_format(path).ok_or_else(unknown)?;
-    let read = match format {
-        MeshFormat::Pvtp => return vtp::parallel::read_mesh(path),
-        MeshFormat::VtkHdf => read_hdf(open_bytes(path)?),
-        _ => format.read(&open_whole(path)?),
+    let read = match mesh_format(path) {
+        Some(MeshFormat::Pvtp) => return vtp::parallel::read_mesh(path),
+        Some(MeshFormat::VtkHdf) => read_hdf(open_bytes(path)?),
+        Some(format) if format != MeshFormat::BgeoSc => format.read(&open_whole(path)?),
+        // Geometries of Houdini may also be uncompressed, or in text form.
+        _ if InputFormat::of(path) == Some(InputFormat::Bgeo) => {
+            houdini::read_mesh(open_bytes(path)?)
+        }
+        _ => Err(ReadFault::UnknownExtension { known: MeshFormat::KNOWN_MESHES }),
     };
     read.map_err(|fault| ReadError::new(path, fault))
 }

@@ -71,7 +71,6 @@ fn make_mesh(store: &dyn Particles, normals: Option<usize>, triangles: Vec<[u32;
 }
 
 /// Makes a mesh from points and their attributes. The attribute `normals` becomes the normals.
-#[cfg(feature = "hdf5")]
 pub(super) fn mesh_of(points: &dyn Particles, normals: &str, triangles: Vec<[u32; 3]>) -> Mesh {
     make_mesh(points, normals_called(normals, points), triangles)
 }

@@ -49,15 +49,28 @@ pub fn velocity_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
 /// name of another quantity.
 ///
 /// The names in [`VELOCITY_NAMES`] have the lowest ranks. Next are names that differ from them in
-/// case or separators, or that a unit follows, such as `VEL`, `particle velocity` and
-/// `velocity [m/s]`. OpenFOAM's `U` is last.
+/// case or separators, or that a unit follows, such as `VEL`, `particle velocity`,
+/// `ParticleVelocity` and `velocity [m/s]`. OpenFOAM's `U` is last.
 pub fn velocity_rank(name: &str) -> Option<usize> {
     let listed = |name: &str| VELOCITY_NAMES.iter().position(|known| *known == name);
     let bare = without_unit(name);
-    let alike = || listed(&bare.to_ascii_lowercase().replace([' ', '-'], "_"));
+    let lower = || listed(&bare.to_ascii_lowercase().replace([' ', '-'], "_"));
+    let alike = || lower().or_else(|| listed(&words_of(bare).to_ascii_lowercase()));
     listed(name)
         .or_else(|| alike().map(|rank| VELOCITY_NAMES.len() + rank))
         .or_else(|| (bare == OPENFOAM_VELOCITY).then_some(2 * VELOCITY_NAMES.len()))
+}
+
+/// The name with an underscore before each capital that follows a lowercase letter.
+fn words_of(name: &str) -> String {
+    let mut words = String::with_capacity(name.len() + 4);
+    for letter in name.chars() {
+        if letter.is_ascii_uppercase() && words.ends_with(|c: char| c.is_ascii_lowercase()) {
+            words.push('_');
+        }
+        words.push(letter);
+    }
+    words
 }
 
 /// The name without a unit in brackets or parentheses at its end.
@@ -85,6 +98,9 @@ mod tests {
             "particle-velocity",
             "fluid_velocity",
             "Fluid Velocity",
+            "vELOCITY",
+            "ParticleVelocity",
+            "fluidVelocity",
             "velocity [m/s]",
             "Velocity(m/s)",
             "U",
@@ -93,7 +109,16 @@ mod tests {
             assert_eq!(found(&[("rho", 1), (name, 3)]), Some(1), "{name}");
             assert_eq!(found(&[(name, 1)]), None, "{name} is a number");
         }
-        for name in ["u", "acceleration", "velocity_gradient", "vorticity", "[m/s]", "", "U2"] {
+        for name in [
+            "u",
+            "acceleration",
+            "velocity_gradient",
+            "VelocityGradient",
+            "vorticity",
+            "[m/s]",
+            "",
+            "U2",
+        ] {
             assert_eq!(found(&[(name, 3)]), None, "{name}");
         }
     }

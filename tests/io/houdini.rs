@@ -6,7 +6,7 @@ use std::path::Path;
 use meniscus::files::{Info, Primitives, info};
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input;
-use meniscus::internals::io::output::MeshFormat;
+use meniscus::internals::io::output::{MeshFormat, read_mesh};
 use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
 use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadFault, UnreadPart, houdini};
 use meniscus::internals::particles::sizes::SizeChoice;
@@ -495,6 +495,184 @@ fn files_that_are_not_point_geometries_are_refused_with_the_reason() {
     assert!(matches!(missing.unwrap_err().fault, ReadFault::Io(_)));
 }
 
+/// The corners of the sides of a cube with the points 0 to 7, where point n has the coordinates n &
+/// 1, n >> 1 & 1 and n >> 2. As in Houdini, corners are clockwise as seen from outside.
+const SIDES: [[u32; 4]; 6] =
+    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+
+/// The sides of a cube, as single polygons, as a run that lists the corners of each polygon, and as
+/// runs of consecutive corners. An open polygon and a curve go along one side.
+fn cubes() -> Vec<Value> {
+    let corners = |first: usize, count: usize| {
+        Value::Numbers("int32", (first..first + count).map(|corner| corner as f64).collect())
+    };
+    let closed = |closed: bool| Value::Map(vec![text("closed"), Value::Bool(closed)]);
+    let run = |varying: &[&str], uniform: Value, polygons: Vec<Value>| {
+        let varying = Value::List(varying.iter().map(|name| text(name)).collect());
+        let kind = keyed(vec![
+            ("type", text("run")),
+            ("runtype", text("Poly")),
+            ("varyingfields", varying),
+            ("uniformfields", uniform),
+        ]);
+        Value::List(vec![kind, Value::List(polygons)])
+    };
+    let of_run = |kind: &str, sizes: (&str, Vec<f64>), count: i64| {
+        let start = if kind == "p_r" { ["s_v", "n_p"] } else { ["startvertex", "nprimitives"] };
+        let sizes = (sizes.0, Value::Numbers("uint8", sizes.1));
+        let data = vec![(start[0], Value::Integer(0)), (start[1], Value::Integer(count)), sizes];
+        primitive(kind, data)
+    };
+    let curve = of_run("PolygonCurve_run", ("nvertices", vec![4.0]), 1);
+    let open = primitive("Poly", vec![("vertex", corners(0, 4)), ("closed", Value::Bool(false))]);
+    let single = |side: usize| {
+        primitive("Poly", vec![("closed", Value::Bool(true)), ("vertex", corners(4 * side, 4))])
+    };
+    let lone = |side: usize| Value::List(vec![corners(4 * side, 4)]);
+    let marked = |(side, is_closed): (usize, bool)| {
+        Value::List(vec![Value::Bool(is_closed), corners(4 * side, 4)])
+    };
+    let sides = 0..6;
+    let some_open = sides.clone().map(|side| (side, true)).chain([(2, false)]);
+    let geometries = vec![
+        sides.clone().map(single).chain([open, curve.clone()]).collect(),
+        vec![
+            run(&["vertex"], closed(true), sides.clone().map(lone).collect()),
+            run(&["vertex"], closed(false), sides.map(lone).collect()),
+        ],
+        vec![run(&["closed", "vertex"], Value::Map(Vec::new()), some_open.map(marked).collect())],
+        vec![of_run("Polygon_run", ("nvertices_rle", vec![4.0, 2.0, 4.0, 4.0]), 6), curve],
+        vec![of_run("p_r", ("n_v", vec![4.0; 6]), 6)],
+    ];
+    let vertices: Vec<f64> = SIDES.as_flattened().iter().map(|&point| f64::from(point)).collect();
+    let points: Vec<f64> =
+        (0..8).flat_map(|n| [n & 1, n >> 1 & 1, n >> 2]).map(f64::from).collect();
+    let geometries = geometries.into_iter().map(|primitives: Vec<Value>| {
+        let position = numeric("P", "fpreal32", 3, &points, &Layout::Pages(1024, vec![3]));
+        geometry(8, vec![position], &vertices, primitives)
+    });
+    geometries.collect()
+}
+
+#[test]
+fn polygons_of_every_form_become_the_same_outward_triangles() {
+    let expected: Vec<[u32; 3]> =
+        SIDES.iter().flat_map(|&[a, b, c, d]| [[d, c, b], [d, b, a]]).collect();
+    for (number, cube) in cubes().into_iter().enumerate() {
+        for form in Form::ALL {
+            let mesh = houdini::read_mesh(cube.document(form).into()).unwrap();
+            assert_eq!(mesh.positions.len(), 8);
+            assert_eq!(mesh.triangles, expected, "geometry {number} in {form:?}");
+            let volume = meniscus::mesh::measure(&mesh).volume.unwrap();
+            assert!((volume - 1.0).abs() < 1e-12, "{volume}");
+            assert!(meniscus::mesh::check(&mesh).is_closed_oriented_manifold());
+        }
+    }
+}
+
+#[test]
+fn meshes_are_read_from_every_container_and_extension() {
+    let folder = tempfile::tempdir().unwrap();
+    let cube = &cubes()[3];
+    let [text, binary] = [Form::ALL[0], Form::ALL[1]].map(|form| cube.document(form));
+    let packed = Container::USUAL.pack(&binary);
+    for (name, bytes) in [
+        ("a.geo", text),
+        ("a.bgeo.gz", gzip(&binary)),
+        ("a.bgeo", binary),
+        ("a.bgeo.sc.gz", gzip(&packed)),
+        ("A.BGEO.SC", packed),
+    ] {
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        assert_eq!(read_mesh(&path).unwrap().triangles.len(), 12, "{name}");
+    }
+    std::fs::write(folder.path().join("old.bgeo"), b"BgeoV\0\0\0\x05").unwrap();
+    let fault = read_mesh(&folder.path().join("old.bgeo")).unwrap_err().fault;
+    assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+}
+
+#[test]
+fn primitives_with_a_surface_that_is_not_polygonal_are_refused_by_name() {
+    let bound: Vec<f64> = (0..10).map(f64::from).collect();
+    let triangle = || {
+        let vertex = Value::Numbers("int32", vec![0.0, 1.0, 2.0]);
+        primitive("Poly", vec![("vertex", vertex), ("closed", Value::Bool(true))])
+    };
+    let other = |kind: &str| primitive(kind, vec![("vertex", Value::Integer(6))]);
+    let mesh = |primitives| {
+        let whole = geometry(10, vec![position(10)], &bound, primitives);
+        houdini::read_mesh(whole.document(Form::ALL[1]).into())
+    };
+    for kind in ["Sphere", "PackedGeometry", "VDB", "PolySoup", "NURBMesh"] {
+        let fault = mesh(vec![triangle(), other(kind)]).unwrap_err();
+        let ReadFault::Unsupported(what) = &fault else { panic!("{fault}") };
+        assert!(what.contains(&format!("1 {kind}")) && what.contains("Convert SOP"), "{what}");
+    }
+    // Particle systems, curves and unused points have no surface.
+    let particles = primitive("Part", vec![("vertex", Value::Numbers("int32", vec![7.0, 8.0]))]);
+    let curve = other("NURBCurve");
+    let read = mesh(vec![triangle(), particles, curve]).unwrap();
+    assert_eq!((read.positions.len(), read.triangles), (10, vec![[2, 1, 0]]));
+}
+
+#[test]
+fn polygons_that_do_not_fit_the_vertices_are_refused() {
+    let run = |first: i64, count: i64, sizes: Vec<f64>| {
+        primitive(
+            "p_r",
+            vec![
+                ("s_v", Value::Integer(first)),
+                ("n_p", Value::Integer(count)),
+                ("r_v", Value::Numbers("int64", sizes)),
+            ],
+        )
+    };
+    let huge = (1_u64 << 62) as f64;
+    let vertex = |vertex: f64| {
+        let corners = Value::Numbers("int64", vec![0.0, 1.0, vertex]);
+        primitive("Poly", vec![("vertex", corners)])
+    };
+    let read = |primitive: Value| {
+        let whole = geometry(4, vec![position(4)], &[0.0, 1.0, 2.0, 3.0], vec![primitive]);
+        houdini::read_mesh(whole.document(Form::ALL[1]).into())
+    };
+    assert_eq!(read(run(1, 1, vec![3.0, 1.0])).unwrap().triangles, [[3, 2, 1]]);
+    for damaged in [
+        run(2, 1, vec![3.0, 1.0]),
+        run(0, 2, vec![3.0, 1.0]),
+        run(0, i64::MAX, vec![3.0, huge]),
+        run(0, 1 << 62, vec![0.0, huge]),
+        run(0, 1, vec![-3.0, 1.0]),
+        run(i64::MAX, 1, vec![3.0, 1.0]),
+        vertex(4.0),
+        vertex(-1.0),
+    ] {
+        let (fault, largest) = memory::largest_allocation(|| read(damaged).unwrap_err());
+        assert!(matches!(fault, ReadFault::Malformed { .. }), "{fault}");
+        assert!(largest < 1 << 16, "{largest}");
+    }
+}
+
+#[test]
+fn damaged_polygons_never_panic_and_never_add_triangles() {
+    for cube in cubes() {
+        for form in Form::ALL {
+            let bytes = cube.document(form);
+            for at in 0..bytes.len() {
+                for flip in [0x01, 0x80, 0xff] {
+                    let mut damaged = bytes.clone();
+                    damaged[at] ^= flip;
+                    if let Ok(mesh) = houdini::read_mesh(damaged.into()) {
+                        assert!(mesh.triangles.len() <= 44, "byte {at}");
+                    }
+                }
+                assert!(houdini::read_mesh(bytes[..at].to_vec().into()).is_err());
+            }
+        }
+    }
+}
+
 /// A mesh larger than a chunk, with an attribute of each kind.
 fn mesh_with_attributes() -> Mesh {
     let mut mesh = sphere(0.7, 6);
@@ -567,6 +745,12 @@ fn a_written_bgeo_sc_contains_points_with_all_attributes() {
             assert!(
                 positions(&file).iter().all(|p| (0..3).all(|i| low[i] <= p[i] && p[i] <= high[i]))
             );
+            // The mesh itself is read back, with triangles that start at another corner.
+            let read = read_mesh(&path).unwrap();
+            let turned = mesh.triangles.iter().map(|&[a, b, c]| [b, c, a]);
+            assert!(read.triangles == turned.collect::<Vec<_>>());
+            assert!(read.positions == expected && read.normals == mesh.normals);
+            assert!(read.attributes[0] == mesh.attributes[0]);
         }
     }
 }

@@ -19,9 +19,11 @@ use std::path::Path;
 
 use crate::particles::AttributeInfo;
 use crate::particles::sieve::Sieve;
+use crate::surface::mesh::Mesh;
 
 use super::bytes::{ByteView, Bytes, PrivateBytes, UnpackBuffer, Unpacking, unpacked_limit};
 use super::columns::{Column, ColumnStore, Endian, ParticleRows};
+use super::vertices::{Triangles, mesh_of};
 use super::wanted::{WantedAttributes, WantedParticles};
 use super::windows::InputBytes;
 use super::{ParticleFile, ReadError, ReadFault, UnreadPart, bgeo, malformed};
@@ -29,8 +31,9 @@ use binary::Binary;
 use json::JsonNumber;
 use points::{NumberBytes, UnpackedColumns};
 pub use primitives::Primitives;
+use primitives::is_polygon_or_curve;
 pub(super) use schema::MOST_TEXTS;
-use schema::{Geometry, HoudiniAttribute, NumberLocation};
+use schema::{Geometry, HoudiniAttribute, NumberLocation, WantedParts};
 use text::Text;
 pub use write::{attribute_names, write_mesh};
 
@@ -101,7 +104,7 @@ pub fn read_particles(
     match GeometryForm::of(bytes.view())? {
         GeometryForm::Classic => bgeo::read_particles(bytes),
         form => {
-            let opened = OpenedGeometry::of(bytes, form, unpacking)?;
+            let opened = OpenedGeometry::of(bytes, form, unpacking, WantedParts::Points)?;
             let selected = opened.select_particles()?;
             opened.arrange(selected, wanted, unpacking)
         }
@@ -119,7 +122,28 @@ pub fn read_points(
     unpacking: Unpacking,
 ) -> Result<ParticleFile, ReadFault> {
     let form = GeometryForm::of(bytes.view())?;
-    OpenedGeometry::of(bytes, form, unpacking)?.arrange(None, wanted, unpacking)
+    let opened = OpenedGeometry::of(bytes, form, unpacking, WantedParts::Points)?;
+    opened.arrange(None, wanted, unpacking)
+}
+
+/// Reads the polygons of a geometry of Houdini 12 or later, with all attributes of the points.
+/// Curves, and points without polygons, have no surface.
+///
+/// # Errors
+/// The errors of [`read_particles`] for damaged files, and [`ReadFault::Unsupported`] for classic
+/// files and for primitives with a surface that are not polygons.
+pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
+    let unpacking = Unpacking::in_memory();
+    let form = GeometryForm::of(bytes.view())?;
+    if let GeometryForm::Classic = form {
+        let what =
+            "meshes in the classic .bgeo format are not supported; save the mesh as .bgeo.sc";
+        return Err(ReadFault::Unsupported(what.to_owned()));
+    }
+    let opened = OpenedGeometry::of(bytes, form, unpacking, WantedParts::PointsAndPolygons)?;
+    let triangles = opened.triangles()?;
+    let points = opened.arrange(None, WantedAttributes::All, unpacking)?.particles;
+    Ok(mesh_of(&points, "N", triangles))
 }
 
 /// A geometry, and the bytes that contain its numbers.
@@ -133,7 +157,12 @@ struct OpenedGeometry {
 }
 
 impl OpenedGeometry {
-    fn of(bytes: Bytes, form: GeometryForm, unpacking: Unpacking) -> Result<Self, ReadFault> {
+    fn of(
+        bytes: Bytes,
+        form: GeometryForm,
+        unpacking: Unpacking,
+        wanted: WantedParts,
+    ) -> Result<Self, ReadFault> {
         let (bytes, form, format) = match form {
             GeometryForm::Container => {
                 let unpacked = Bytes::Kept(container::unpack(bytes, unpacking)?);
@@ -149,12 +178,13 @@ impl OpenedGeometry {
         let (geometry, endian) = match form {
             GeometryForm::Text => {
                 let document = (view, Endian::Little);
-                (schema::read(&mut Text::new(view.kept()?), document, &mut gathered)?, document.1)
+                let mut json = Text::new(view.kept()?);
+                (schema::read(&mut json, document, &mut gathered, wanted)?, document.1)
             }
             GeometryForm::Binary(endian) => {
                 let document = (view, endian);
                 let mut json = Binary::new(view, endian);
-                (schema::read(&mut json, document, &mut gathered)?, endian)
+                (schema::read(&mut json, document, &mut gathered, wanted)?, endian)
             }
             GeometryForm::Classic | GeometryForm::Container => {
                 return Err(malformed(0, "the file contains no geometry of Houdini 12 or later"));
@@ -179,20 +209,9 @@ impl OpenedGeometry {
         NumberBytes { document: self.bytes.view(), endian: self.endian, gathered: &self.gathered }
     }
 
-    /// Selects the particles: the points that belong to no primitive, or only to particle systems.
-    /// Returns `None` if all points are particles.
-    ///
-    /// # Errors
-    /// [`ReadFault::OnlyPrimitives`] if there are points, but no particles.
-    fn select_particles(&self) -> Result<Option<Sieve>, ReadFault> {
-        let geometry = &self.geometry;
-        if geometry.kinds.is_empty() {
-            return Ok(None);
-        }
-        let points = geometry.points;
-        let run = geometry.vertex_points;
-        // The memory for a bit per point is bounded, because the number of points was checked.
-        let mut used_by_primitives = Sieve::none(points as usize);
+    /// Calls `take` with each vertex and its point.
+    fn each_vertex(&self, mut take: impl FnMut(usize, u64)) -> Result<(), ReadFault> {
+        let Geometry { points, vertex_points: run, .. } = self.geometry;
         let mut vertex = 0;
         let (bytes, endian) = self.number_bytes().of(run.place);
         run.numbers.each(bytes, endian, |number| {
@@ -208,12 +227,61 @@ impl OpenedGeometry {
                      numbered from 0"
                 ))
             })?;
+            take(vertex, point);
+            vertex += 1;
+            Ok(())
+        })
+    }
+
+    /// Divides the polygons into triangles.
+    ///
+    /// # Errors
+    /// [`ReadFault::Unsupported`] for primitives with a surface that are not polygons, and for too
+    /// many points.
+    fn triangles(&self) -> Result<Vec<[u32; 3]>, ReadFault> {
+        let geometry = &self.geometry;
+        let others = geometry.kinds.iter().filter(|(kind, _)| !is_polygon_or_curve(kind));
+        let others = Primitives::new(others.map(|(kind, count)| (&**kind, *count)), 0);
+        if !others.kinds.is_empty() {
+            let what = format!(
+                "only polygons can be read as a mesh, and the file contains {}; convert them \
+                 to polygons, for example with a Convert SOP or an Unpack SOP",
+                others.counted()
+            );
+            return Err(ReadFault::Unsupported(what));
+        }
+        let mut triangles = Triangles::new(geometry.points as usize)?;
+        let mut points = Vec::new();
+        self.each_vertex(|_, point| points.push(point as i64))?;
+        let mut corners = Vec::new();
+        let polygons = geometry.polygons.iter().flat_map(|polygons| polygons.iter());
+        for (number, vertices) in polygons.enumerate() {
+            // In Houdini, polygons are clockwise as seen from outside.
+            corners.clear();
+            corners.extend(vertices.iter().rev().map(|&vertex| points[vertex as usize]));
+            triangles.polygon(number, 0, &corners)?;
+        }
+        Ok(triangles.triangles)
+    }
+
+    /// Selects the particles: the points that belong to no primitive, or only to particle systems.
+    /// Returns `None` if all points are particles.
+    ///
+    /// # Errors
+    /// [`ReadFault::OnlyPrimitives`] if there are points, but no particles.
+    fn select_particles(&self) -> Result<Option<Sieve>, ReadFault> {
+        let geometry = &self.geometry;
+        if geometry.kinds.is_empty() {
+            return Ok(None);
+        }
+        let points = geometry.points;
+        // The memory for a bit per point is bounded, because the number of points was checked.
+        let mut used_by_primitives = Sieve::none(points as usize);
+        self.each_vertex(|vertex, point| {
             let word = geometry.particle_vertices.get(vertex / 64).copied().unwrap_or_default();
             if word >> (vertex % 64) & 1 == 0 {
                 Sieve::set(&mut used_by_primitives, point as usize);
             }
-            vertex += 1;
-            Ok(())
         })?;
         let mut unused = used_by_primitives;
         unused.iter_mut().for_each(|word| *word = !*word);

@@ -4,6 +4,14 @@ use std::fmt;
 
 use serde::Serialize;
 
+/// Whether primitives with this name in the file are polygons, or curves, which have no surface.
+pub(super) fn is_polygon_or_curve(stored: &str) -> bool {
+    matches!(
+        stored,
+        "Poly" | "p_r" | "Polygon_run" | "c_r" | "PolygonCurve_run" | "BezierCurve" | "NURBCurve"
+    )
+}
+
 /// Polygons, volumes and other primitives in a Houdini geometry, and the points that they use.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Primitives {
@@ -35,6 +43,14 @@ impl Primitives {
         Self { kinds, points }
     }
 
+    /// The number of primitives of each kind, for a message.
+    pub(super) fn counted(&self) -> String {
+        let counted = |(kind, count): &(String, u64)| {
+            format!("{count} {kind}{}", if *count == 1 { "" } else { "s" })
+        };
+        self.kinds.iter().map(counted).collect::<Vec<_>>().join(", ")
+    }
+
     /// The way to get particles from a geometry that contains only primitives, for a message.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
@@ -52,10 +68,7 @@ impl Primitives {
 
 impl fmt::Display for Primitives {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let counted = |(kind, count): &(String, u64)| {
-            format!("{count} {kind}{}", if *count == 1 { "" } else { "s" })
-        };
-        let kinds = self.kinds.iter().map(counted).collect::<Vec<_>>().join(", ");
+        let kinds = self.counted();
         let is_one = matches!(self.kinds[..], [(_, 1)]);
         let whose = if is_one { "its" } else { "their" };
         match self.points {

@@ -37,6 +37,7 @@ pub fn targets() -> Vec<Target> {
             run: |data| {
                 let all = WantedAttributes::All;
                 read_through(houdini::read_particles(own(data), all, memory()));
+                let _ = houdini::read_mesh(own(data));
             },
             seeds: geometries,
             words: GEOMETRY,

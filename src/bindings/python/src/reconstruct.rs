@@ -65,7 +65,7 @@ use crate::work::{Work, with_progress};
 /// sheets : float, optional
 ///     In thin sheets and filaments, join particles that are at most this many spacings apart,
 ///     2.15 by default; 0 turns this off.
-/// solid : list of str, optional
+/// solid : list of paths, optional
 ///     Files of closed meshes where the fluid ends, such as obstacles.
 /// solid_offset : float, optional
 ///     Distance, in spacings, between the fluid and solids, -0.1 by default.

@@ -124,15 +124,26 @@ impl Source for Keyword<'_, '_> {
         })
     }
 
-    /// Takes a list of names. A single string is an error, because Python would treat it as a list
-    /// of letters.
+    /// Takes a list of names or paths. A single string is an error, because Python would treat it
+    /// as a list of letters.
     fn names(&self) -> PyResult<Vec<String>> {
         if self.value.is_instance_of::<PyString>() {
             return Err(self.type_error("a list of names"));
         }
-        let names =
-            self.value.try_iter().and_then(|names| names.map(|name| name?.extract()).collect());
-        names.map_err(|_| self.type_error("a list of names"))
+        let name = |name: PyResult<Bound<'py, PyAny>>| {
+            let name = name?;
+            let path = || {
+                name.extract::<PathBuf>()?.into_os_string().into_string().map_err(|_| {
+                    InputError::new_err(format!("{}: {name} is not valid Unicode", self.name))
+                })
+            };
+            name.extract().or_else(|_| path())
+        };
+        let names = self.value.try_iter().and_then(|names| names.map(name).collect());
+        names.map_err(|error: PyErr| match error.is_instance_of::<InputError>(self.value.py()) {
+            true => error,
+            false => self.type_error("a list of names"),
+        })
     }
 
     fn point(&self) -> PyResult<[f64; 3]> {

@@ -211,7 +211,7 @@ def test_the_reason_for_an_empty_mesh_is_reported(tmp_path: Path, ball: Any) -> 
     with pytest.raises(meniscus.InputError, match="solids cover the fluid"):
         meniscus.reconstruct(ball, solid=[str(cover)], **keywords)
     with pytest.warns(meniscus.MeshWarning, match="solids cover the fluid"):
-        assert len(meniscus.Simulation(solid=[str(cover)], **keywords).frame(ball).triangles) == 0
+        assert len(meniscus.Simulation(solid=[cover], **keywords).frame(ball).triangles) == 0
     with pytest.raises(meniscus.InputError, match="fluid; use smaller cells$"):
         meniscus.reconstruct(lattice(2.0), spacing=1.0, cell_size=30.0)
 

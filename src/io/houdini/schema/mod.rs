@@ -5,6 +5,7 @@
 //! are copied to a separate buffer. Arrays of numbers stay in the document.
 
 mod attributes;
+mod polygons;
 
 use std::collections::BTreeMap;
 use std::rc::Rc;
@@ -15,6 +16,8 @@ use crate::io::{ReadFault, malformed};
 use crate::particles::sieve::Sieve;
 
 use super::json::{Json, JsonEvent, JsonNumber, JsonNumbers, Storage};
+pub use polygons::Polygons;
+use polygons::{RunFields, is_polygon};
 
 /// Maximum number of components of an attribute. Attributes with more components, such as spectra,
 /// are left out.
@@ -40,6 +43,8 @@ pub struct Geometry {
     /// A bit for each vertex, set if the vertex belongs to a particle system. Empty if there are no
     /// particle systems.
     pub particle_vertices: Vec<u64>,
+    /// The closed polygons, if the caller requested them.
+    pub polygons: Option<Polygons>,
     /// The time in seconds.
     pub time: Option<f64>,
 }
@@ -151,6 +156,15 @@ impl NumberRun {
     };
 }
 
+/// The parts of a geometry that a caller needs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WantedParts {
+    /// The points, and the number of primitives of each kind.
+    Points,
+    /// All of the above, and the corners of all closed polygons.
+    PointsAndPolygons,
+}
+
 /// Reads the geometry of a document.
 ///
 /// # Errors
@@ -159,8 +173,10 @@ pub fn read(
     json: &mut dyn Json,
     document: (ByteView, Endian),
     gathered: &mut UnpackBuffer,
+    wanted: WantedParts,
 ) -> Result<Geometry, ReadFault> {
-    let mut reader = SchemaReader { json, document, gathered, flag_words: 0 };
+    let polygons = (wanted == WantedParts::PointsAndPolygons).then(Polygons::default);
+    let mut reader = SchemaReader { json, document, gathered, flag_words: 0, polygons };
     let mut head = GeometryHead::default();
     reader.entries("a geometry", |reader, key| reader.part(key, &mut head))?;
     reader.json.end()?;
@@ -172,6 +188,7 @@ pub fn read(
         kinds: head.kinds,
         vertex_points: head.vertex_points.unwrap_or(NumberRun::NONE),
         particle_vertices: head.particle_vertices,
+        polygons: reader.polygons,
         time: head.time,
     })
 }
@@ -193,6 +210,8 @@ struct SchemaReader<'j, 'v, 'u> {
     gathered: &'j mut UnpackBuffer<'u>,
     /// Number of 64-bit words of page flags that were read for all attributes so far.
     flag_words: usize,
+    /// The polygons that were read so far; `None` if they are not needed.
+    polygons: Option<Polygons>,
 }
 
 impl SchemaReader<'_, '_, '_> {
@@ -450,13 +469,19 @@ impl SchemaReader<'_, '_, '_> {
     /// Counts the primitives of each kind, and marks the vertices of particle systems.
     fn primitives(&mut self, head: &mut GeometryHead) -> Result<(), ReadFault> {
         let vertices = head.vertex_points.map_or(0, |run| run.numbers.count);
+        if self.polygons.is_some() && vertices > u32::MAX.into() {
+            let what =
+                format!("{vertices} vertices are too many for a mesh, which has fewer than 2^32");
+            return Err(ReadFault::Unsupported(what));
+        }
         self.pairs("the primitives", |reader| {
             let (mut kind, mut run_kind) = (None, None);
+            let mut fields = RunFields::default();
             reader.entries("a primitive's kind", |reader, key| {
                 match key {
                     "type" => kind = Some(reader.text("a primitive's type")?),
                     "runtype" => run_kind = Some(reader.text("a primitive's type")?),
-                    _ => reader.skip_value()?,
+                    _ => reader.field_of_run(key, &mut fields)?,
                 }
                 Ok(())
             })?;
@@ -468,6 +493,14 @@ impl SchemaReader<'_, '_, '_> {
                 _ => (kind, false),
             };
             let is_particles = &*kind == "Part";
+            if reader.polygons.is_some() && is_polygon(&kind) {
+                let count = match is_run {
+                    true => reader.run_of_polygons(&fields, vertices)?,
+                    false => reader.polygons(&kind, vertices)?,
+                };
+                add_kind(&mut head.kinds, kind, count);
+                return Ok(());
+            }
             let mut mark = |number: JsonNumber| {
                 if let JsonNumber::Integer(vertex) = number
                     && let Ok(vertex) = u64::try_from(vertex)
@@ -492,10 +525,7 @@ impl SchemaReader<'_, '_, '_> {
                 })?;
             }
             if !is_particles {
-                let is_known = head.kinds.len() < MOST_KINDS || head.kinds.contains_key(&kind);
-                let kind = if is_known { kind } else { "other".into() };
-                let all = head.kinds.entry(kind).or_default();
-                *all = all.saturating_add(count);
+                add_kind(&mut head.kinds, kind, count);
             }
             Ok(())
         })
@@ -519,6 +549,14 @@ impl SchemaReader<'_, '_, '_> {
             count += 1;
         }
     }
+}
+
+/// Adds `count` primitives of a kind.
+fn add_kind(kinds: &mut BTreeMap<Rc<str>, u64>, kind: Rc<str>, count: u64) {
+    let is_known = kinds.len() < MOST_KINDS || kinds.contains_key(&kind);
+    let kind = if is_known { kind } else { "other".into() };
+    let all = kinds.entry(kind).or_default();
+    *all = all.saturating_add(count);
 }
 
 /// Describes an event for a message.

@@ -62,7 +62,7 @@ class _Surface(TypedDict, total=False):
     periodic_mesh: Literal["cut", "overlap"] | None
     smooth: float | None
     sheets: float | None
-    solid: Iterable[str] | None
+    solid: Iterable[_Path] | None
     solid_offset: float | None
     sigma: float | None
     iso: float | Literal["auto"] | None
