@@ -191,7 +191,8 @@ impl OpenedGeometry {
         }
         let points = geometry.points;
         let run = geometry.vertex_points;
-        // The memory for a bit per point is bounded, because the number of points was checked.
+        // This allocates one bit per point. `OpenedGeometry::of` has checked that the number of
+        // points is not too large for the file.
         let mut used_by_primitives = Sieve::none(points as usize);
         let mut vertex = 0;
         let (bytes, endian) = self.number_bytes().of(run.place);
@@ -307,7 +308,7 @@ impl OpenedGeometry {
     }
 }
 
-/// The primitives of a geometry, which use this number of points.
+/// The primitives of a geometry. `points` is the number of points that they use.
 fn primitives(geometry: &Geometry, points: u64) -> Primitives {
     Primitives::new(geometry.kinds.iter().map(|(kind, count)| (&**kind, *count)), points)
 }
