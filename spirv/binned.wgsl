@@ -10,7 +10,8 @@ struct Bin {
     z: i32,
 }
 
-// A particle's position along each axis: the cell in the bin, followed by the offset in the cell.
+// A particle's position along each axis, with the cell in the bin in the upper bits, and the offset
+// in the cell in the lower bits.
 fn place_of(record: vec2<u32>) -> vec3<u32> {
     // The bits of y are in both words.
     let bits = vec3(

@@ -55,7 +55,8 @@ fn raised(part: u32, gain: u32) -> u32 {
     return min((part * gain + (1u << (GAIN_BITS - 1u))) >> GAIN_BITS, FULL);
 }
 
-// The gain of a cell, rounded down for each axis after the first.
+// The gain of a cell: the product of the gains along the axes, rounded down after each
+// multiplication.
 fn gain_of(cell: vec3<i32>) -> u32 {
     let upper = select(vec3(1u << GAIN_BITS), push.gains_hi, cell == push.walls_hi);
     let gains = select(upper, push.gains_lo, cell == push.walls_lo);

@@ -1,6 +1,6 @@
 // IEEE 754 double precision in integer arithmetic, which gives the same results on every device.
-// Numbers are (low word, high word). Results are rounded to the nearest number, ties to even. Needs
-// `wide`.
+// Numbers are (low word, high word). Results are rounded to the nearest number, ties to even.
+// Shaders that include this file must also include `wide`.
 
 // The number significand * 2^exponent. In `sign`, only the sign bit can be set.
 struct Parts {

@@ -8,7 +8,7 @@ struct Full {
     layers: array<u32, 3>,
     // The number of full cells.
     count: u32,
-    // A bit for each brick: whether the brick has a full cell of its own.
+    // A bit for each brick: whether the brick, without its ghost layer, has a full cell.
     bricks: array<u32, 2>,
 }
 

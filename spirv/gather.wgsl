@@ -16,7 +16,7 @@ struct GatherPush {
 var<immediate> push: GatherPush;
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 // For every bin whose bricks or ghost layers overlap a block, x fastest: the number of its page
-// plus 1, or 0.
+// plus 1, or 0 if the bin has no page.
 @group(0) @binding(1) var<storage, read> tables: array<u32>;
 // The pages. A page has its bricks in the order of the Morton curve, and x varies fastest in each
 // brick.

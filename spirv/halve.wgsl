@@ -11,8 +11,8 @@ struct HalvePush {
 
 var<immediate> push: HalvePush;
 // Each block has the finer cells from which the wide cells of a bin within the walls are computed.
-// It begins one finer cell below the lowest of these wide cells; along x, it begins two finer cells
-// below, because rows begin at an even cell.
+// Along y and z, the block begins one finer cell below the lowest of these wide cells. Along x, it
+// begins two finer cells below, because rows begin at an even cell.
 @group(0) @binding(0) var<storage, read> blocks: array<Block>;
 @group(0) @binding(1) var<storage, read> field: array<u32>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;

@@ -13,7 +13,8 @@ var<immediate> push: IndicatePush;
 @group(0) @binding(1) var<storage, read> records: array<vec2<u32>>;
 @group(0) @binding(2) var<storage, read_write> pages: array<u32>;
 
-// For each cell: N, then the sums of offsets along x, y and z, low words and high words.
+// For each cell: N, then the low words of the sums of offsets along x, y and z, then their high
+// words.
 const SUMS: u32 = 7u;
 var<workgroup> sums: array<atomic<u32>, OCTANT_CELLS * SUMS>;
 
@@ -63,8 +64,8 @@ fn divided(a: vec2<u32>, n: u32, bits: u32) -> vec2<u32> {
 // is from 0 to n F.
 fn rounded(n: u32, s: vec2<u32>) -> u32 {
     let whole = divided(deviation(n, s), n, FRACTION_BITS + 1u);
-    // The remainder is less than n. Its part of the result is, rounded down,
-    // (2 DISTANCE_SCALE remainder + n) / (2 n).
+    // The remainder is less than n. It adds (2 DISTANCE_SCALE remainder + n) / (2 n), rounded down,
+    // to the result.
     var twice = shifted(whole.y, DISTANCE_SCALE_BITS + 1u);
     twice.x += n;
     twice.y += u32(twice.x < n);

@@ -13,7 +13,7 @@ var<immediate> push: LoosePush;
 // Clouds; replaced by the products of clouds and weights.
 @group(0) @binding(0) var<storage, read_write> clouds: array<u32>;
 // The clouds, smoothed by the filter that shows the bulk; replaced by the weights, in 32768ths.
-// Weights below LEAST_WEIGHT are raised to it.
+// Weights below LEAST_WEIGHT are raised to this value.
 @group(0) @binding(1) var<storage, read_write> smooth_clouds: array<u32>;
 
 fn weight_of(smoothed: u32) -> u32 {

@@ -35,8 +35,8 @@ var<immediate> push: PlacePush;
 // work group's maximum for `invalid`.
 var<workgroup> tally: array<atomic<u32>, 4>;
 
-// Packs a particle: for each axis, starting with x, the offset in the cell and then the cell in the
-// bin.
+// Packs a particle. From the lowest bit on, the record has, for x, y and z in this order, the
+// offset in the cell and then the cell in the bin.
 fn record_of(placed: Placed) -> vec2<u32> {
     let axis = (vec3<u32>(placed.cell & vec3(BIN - 1)) << vec3(FRACTION_BITS)) | placed.offset;
     return vec2(

@@ -1,5 +1,6 @@
 // Computes the cell of a particle and its offset in the cell from (x - origin) / cell, with the
-// same f64 arithmetic as the host. Uses `grid`, `positions` and `push` of the shader.
+// same f64 arithmetic as the host. Uses `grid`, `positions` and `push` of the shader that includes
+// this file.
 
 // The fate of a particle: it is in a bin, or it has no bin for one of three reasons.
 const BINNED: u32 = 0u;

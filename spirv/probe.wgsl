@@ -17,7 +17,7 @@ struct ProbeResult {
     above: u32,
     below: u32,
     // The box around the cells near which particles stand out, relative to the region's lowest wide
-    // cell. If there are none, `lo` is greater than `hi`.
+    // cell. If there are no such cells, `lo` is greater than `hi`.
     lo: array<u32, 3>,
     hi: array<u32, 3>,
 }

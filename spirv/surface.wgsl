@@ -1,4 +1,5 @@
-// The surfaces of all blocks, in Morton order. Uses `blocks` and `tiles` of the shader.
+// The surfaces of all blocks, in Morton order. Uses `blocks` and `tiles` of the shader that
+// includes this file.
 
 struct Block {
     // The block's coordinates, in units of blocks.
@@ -9,8 +10,8 @@ struct Block {
     first_vertex: u32,
     first_triangle: u32,
     spare: u32,
-    // For each corner of a dual cell, the number of the block that is one block up along the axes
-    // on whose upper side the corner lies; NO_BLOCK if there is none.
+    // For each corner number k from 0 to 7, the number of the block that is one block up along axis
+    // i for every set bit i of k; NO_BLOCK if there is no such block.
     above: array<u32, 8>,
 }
 

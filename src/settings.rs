@@ -213,8 +213,8 @@ settings! {
     /// hold. `velocity.y` and `velocity[1]` are the same component of a vector; x, y and z are the
     /// position. Some files store each type of particle separately: SWIFT and GADGET snapshots in
     /// groups such as PartType1, PySPH files in arrays, and openPMD files in species. type=NAME
-    /// selects one of them. If there are several types, the default is PartType0 or fluid. The
-    /// default is gas only if no other type can be a liquid.
+    /// selects one of them. If there are several types, the default is PartType0 or fluid. A type
+    /// called gas is the default only if no other type can be a liquid.
     #[arg(value_name = "CONDITION", help_heading = "Input")]
     r#where: Option<Vec<Where>>,
 
@@ -285,9 +285,9 @@ settings! {
     /// In thin sheets and filaments, join particles that are at most this many spacings apart
     /// [default: 2.15].
     ///
-    /// The value must be from 1 to 3, or 0, which turns this off. In practice, sheets tear a little
-    /// earlier: with the default, at about 2.1 spacings. Works only with the indicator `cloud` (the
-    /// default).
+    /// The value must be from 1 to 3, or 0, which turns this off. In practice, sheets tear at a
+    /// slightly smaller distance: at about 2.1 spacings with the default. Works only with the
+    /// indicator `cloud` (the default).
     #[arg(value_name = "SPACINGS", allow_negative_numbers = true, help_heading = "Surface")]
     sheets: Option<f64>,
 
@@ -418,8 +418,8 @@ impl Setting {
         SAMPLING_SETTINGS.contains(&self.0)
     }
 
-    /// Whether the setting affects packed frames. All settings that affect the sampling do so,
-    /// except `method` and `size`, which `check_packing` rejects.
+    /// Whether the setting affects packed frames. All settings that affect the sampling also affect
+    /// packed frames, except `method` and `size`, which `check_packing` rejects.
     #[must_use]
     pub fn is_of_samples(self) -> bool {
         self.needs_particles() && !["method", "size"].contains(&self.0)

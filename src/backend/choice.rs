@@ -82,7 +82,7 @@ const UNKNOWN_SIZE: [&str; 7] = ["gz", "xz", "zst", "mnf", "npz", "bi4", "vtm"];
 #[derive(Debug)]
 #[non_exhaustive]
 pub enum CpuReason {
-    /// The memory limit is below this number of bytes. A device would take too much of it.
+    /// The memory limit is below this number of bytes. A device would need too much of this memory.
     LittleMemory(u64),
     /// The machine has no GPU.
     NoGpu,

@@ -1,4 +1,5 @@
-//! Backends for the stages of a frame: the CPU or a Vulkan device. Both produce the same bytes.
+//! Backends for the stages of a frame: the CPU or a Vulkan device. Both backends produce the same
+//! bytes.
 
 pub mod choice;
 mod cpu;

@@ -2,9 +2,10 @@
 //!
 //! Positions are read twice: once to count the particles of each bin, and once to put each
 //! particle, packed into 51 bits, into its bin's slots in memory, or into its run of bins (`runs`).
-//! If memory allows, the first reading keeps the results that the second would recompute. The order
-//! of the particles inside a bin is arbitrary. The order does not affect sums of integers; for sums
-//! of floating-point numbers, [`Bins::sorted`] gives a fixed order.
+//! If memory allows, the first reading keeps the bin and the packed position of each particle, so
+//! that they need not be computed again. The order of the particles inside a bin is arbitrary. The
+//! order does not affect sums of integers; for sums of floating-point numbers, [`Bins::sorted`]
+//! gives a fixed order.
 
 use std::convert::Infallible;
 use std::fmt;
@@ -29,7 +30,7 @@ use super::slots::{Record, Slots};
 
 /// Maximum number of bins that a range of particles may touch if the places of its particles are
 /// kept. A place is one word: the packed position of a particle and, in the otherwise free bits,
-/// the rank of the particle's bin. The greatest rank stands for no bin.
+/// the rank of the particle's bin. The greatest rank marks a particle without a bin.
 const KEPT_BINS: usize = (1 << FREE_BITS) - 1;
 
 /// The memory limits of counting.
@@ -45,7 +46,8 @@ pub struct CountingRoom {
 }
 
 /// Maximum bytes of places that are kept between the two readings. A higher limit would rarely
-/// help: larger frames usually touch more bins than the free bits of a place can number.
+/// help, because larger frames usually touch more bins than the free bits of a place can
+/// distinguish.
 const MOST_PLACES: u64 = 64 << 20;
 
 impl CountingRoom {
@@ -108,7 +110,8 @@ pub enum BinError {
         position: [f64; 3],
         /// The axis along which the particle is outside: x, y or z.
         axis: char,
-        /// The maximum distance outside the box of a particle that is wrapped into it.
+        /// A particle is wrapped into the box if it is at most this far outside, in the particles'
+        /// unit of length.
         farthest: f64,
     },
     /// A particle is too far from the grid's origin.

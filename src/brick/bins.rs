@@ -107,8 +107,8 @@ impl Bins {
     /// on the number of particles in the bin.
     pub const TABLE_BYTES: u64 = 344;
 
-    /// For each attribute, the number of particles without a finite value, because the value
-    /// exceeds the range of f32 or is missing.
+    /// For each attribute, the number of particles without a finite value. The value of such a
+    /// particle exceeds the range of f32 or is missing.
     pub fn without(&self) -> &[usize] {
         &self.without
     }

@@ -39,10 +39,10 @@ impl<'a, T: Copy + Default> Iterator for BlockRows<'a, T> {
     }
 }
 
-/// Splits the cells of `part` into runs. In a block whose cells are any of the `boxes`, the samples
-/// of each run are consecutive. A run is one row along x, or several short rows if these are
-/// consecutive in the blocks of all `boxes`. Returns the length of the runs, in samples, and the
-/// first cell of each run.
+/// Splits the cells of `part` into runs. `boxes` lists the cells of the blocks that will be
+/// accessed. In each of these blocks, the samples of a run are consecutive. A run is one row along
+/// x, or several short rows that are consecutive in all of these blocks. Returns the length of the
+/// runs, in samples, and the first cell of each run.
 ///
 /// # Panics
 /// If one of the `boxes` does not cover `part`.
@@ -415,7 +415,7 @@ fn any_full(samples: &[u16]) -> bool {
 }
 
 /// Sets rows of `N` samples to `value(existing, new)`. `rows` gives, for each row, the indices at
-/// which it begins in `to` and in the new `samples`. `N` is known at compile time: it is the length
+/// which it begins in `to` and in the new `samples`. `N` is known at compile time. It is the length
 /// of a row of a brick, or of the part of a brick that reaches into a neighbour's halo.
 #[inline(always)]
 fn put_rows<T: Copy, const N: usize>(

@@ -152,8 +152,8 @@ impl Halving {
         let corner = bin * BIN;
         let mut size = from.size().as_usizevec3();
         let mut halved: Vec<u32> = fine.samples().iter().map(|&sample| sample.into()).collect();
-        // Halving along x is slow, because its samples are not contiguous. Therefore x comes last,
-        // when the fewest samples are left.
+        // Halving along y and z adds contiguous samples. Halving along x is slower, because it adds
+        // samples that are two apart. Therefore x comes last, when the fewest samples are left.
         for axis in [2, 1, 0] {
             let step = [1, size.x, size.x * size.y][axis];
             let planes = size[axis];

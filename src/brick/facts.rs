@@ -47,8 +47,8 @@ impl FrameFacts {
     }
 
     /// The mirror for the field from which the mesh is computed, in cells 2^`level` times as wide.
-    /// It is at the outer faces of the cells within the walls, so a ghost point beyond a wall has
-    /// the sample of the cell before the wall.
+    /// The planes of this mirror are the outer faces of the cells within the walls, so a ghost
+    /// point beyond a wall has the sample of the cell before the wall.
     #[must_use]
     pub fn mesh_mirror(&self, level: u32) -> Option<Mirror> {
         self.walls().map(|walls| Mirror::new(walls.in_wider_cells(level)))

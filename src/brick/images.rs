@@ -34,7 +34,8 @@ pub struct WithImages<'a> {
 struct Images<'a> {
     placer: Placer,
     periodic: &'a Periodic,
-    /// The maximum distance outside the box of a particle that is wrapped into it.
+    /// A particle is wrapped into the box if it is at most this far outside, in the particles' unit
+    /// of length.
     farthest: f64,
     /// For each group, the number of images in the groups before it; the last entry is the number
     /// of all images.

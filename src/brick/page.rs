@@ -21,7 +21,7 @@ pub struct PageInfo {
     pub bricks: u64,
     /// The tightest box around the bin's full cells, in grid coordinates.
     pub full: CellBox,
-    /// The number of full cells of the bin, which are those with nonzero stored samples.
+    /// The number of full cells of the bin. A cell is full if a nonzero sample is stored for it.
     pub full_count: u32,
 }
 
@@ -231,7 +231,8 @@ impl FullCells {
                 let at = IVec3::new(inside.lo.x, y, z) - first;
                 let row = &full[(at.x + edge * (at.y + edge * at.z)) as usize..];
                 let row = &row[..inside.size().x as usize];
-                // If the row spans the bin, its length is a constant at compile time.
+                // A row that spans the bin is converted to an array, whose length is known at
+                // compile time.
                 let bits = <&[u8; BIN as usize]>::try_from(row)
                     .map_or_else(|_| full_bits(row), |row| full_bits(row));
                 let bits = (bits as u32) << inside.lo.x;

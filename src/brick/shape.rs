@@ -4,7 +4,7 @@ use glam::IVec3;
 
 use crate::grid::{BIN, CellBox, local_morton};
 
-/// Edge of a brick, in cells. It affects only how much memory the DIF takes.
+/// Edge of a brick, in cells. The edge affects only the amount of memory that the DIF takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum BrickSide {
     /// 64 cells, 128 bytes.

@@ -17,8 +17,8 @@ use crate::system::memory::mapped_in_huge_pages;
 const LEAST: u64 = 1 << 14;
 /// Maximum size of a slab, in bytes: a huge page on most machines.
 const MOST: u64 = 1 << 21;
-/// Number of slabs in a stack's share of memory. It is large, so that the last slab, which is not
-/// full, wastes little of the share.
+/// Number of slabs in a stack's share of memory. The number is large, so that the unused part of
+/// the last slab is a small fraction of the share.
 const SLABS_PER_SHARE: u64 = 16;
 
 /// A stack of words, stored in slabs.

@@ -1,10 +1,11 @@
 //! Binning for particles that do not fit into memory: particles go into runs of bins, first in
 //! memory and then in a scratch file, and are sorted run by run.
 //!
-//! A run is a stretch of the Morton curve with as many particles as can be sorted at once. Its
-//! particles are stored in pieces. A piece is the Elias-Fano code of packed particles, followed by
-//! the particles' attributes in the same order. The free upper bits of a packed particle hold the
-//! number of its bin in the run. Coded particles take less memory than sorted ones.
+//! A run is a stretch of the Morton curve, and all particles of a run are sorted at once. The
+//! particles of a run are stored in pieces. A piece is the Elias-Fano code of packed particles,
+//! followed by the particles' attributes in the same order. The free upper bits of a packed
+//! particle hold the number of its bin in the run. Coded particles take less memory than sorted
+//! ones.
 
 use std::borrow::Cow;
 use std::io;
@@ -64,8 +65,8 @@ impl RunParticles {
 /// The memory that pieces may take.
 #[derive(Debug)]
 struct SpillBudget {
-    /// Maximum sum of the bytes of the pieces, and the bytes of the data that a visitor keeps from
-    /// the runs that it has received so far.
+    /// Maximum bytes of the pieces in memory and of the data that a visitor keeps from the runs
+    /// that it has received, added together.
     most: u64,
     /// Bytes that pieces take.
     taken: AtomicU64,
@@ -189,8 +190,8 @@ impl SpilledBins {
     fn drain(&self, mut take: impl FnMut(&Bins) -> io::Result<u64>) -> io::Result<()> {
         for run in 0..self.runs.len() {
             let kept = take(&self.sorted(run)?)?;
-            // For the next run, `take` keeps about as much memory as for the average run so far.
-            // Reserving twice the average allows for larger runs.
+            // For the next run, `take` will probably keep the average memory per run so far. Twice
+            // the average is reserved, because the next run can be larger.
             let reserved = kept.saturating_add(2 * kept / (run as u64 + 1));
             self.limit_memory(self.memory.most.saturating_sub(reserved))?;
         }
@@ -434,7 +435,7 @@ impl RunBuffers<'_> {
 pub enum BinnedParticles {
     /// All particles in memory.
     InMemory(Bins),
-    /// Particles grouped by run, of which some or all may be in a scratch file.
+    /// Particles grouped by run. Some or all of them may be in a scratch file.
     Spilled(SpilledBins),
 }
 

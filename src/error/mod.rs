@@ -305,8 +305,9 @@ impl Error {
     #[must_use]
     pub(crate) fn with_skipped_part(mut self, parts: &[UnreadPart]) -> Self {
         if let Self::NoAttribute { name, left_out, .. } = &mut self {
-            // A request for `velocity` also matches an unread part with another name of the
-            // velocity. These names match only attributes with three components, so assume three.
+            // A request for `velocity` also matches a skipped part with another name for the
+            // velocity. Such names match only attributes with three components, so the part is
+            // assumed to have three.
             let is_missing = |part: &&UnreadPart| {
                 let info = part.attribute().map(|part| AttributeInfo::new(part, 3));
                 attribute_called(name, info.as_slice()).is_some()

@@ -87,7 +87,7 @@ pub enum SimulationError {
     /// File names that do not determine the frame numbers.
     #[error("{0}")]
     Names(String),
-    /// Files of several simulations where only one is possible.
+    /// Files of several simulations, although only one simulation is possible.
     #[error(
         "{from}: there are several simulations: {families}; name one of these simulations{why}"
     )]

@@ -1,5 +1,5 @@
-//! The computation of the field from samples, defined once for all backends. It uses the paper's
-//! filters, or distances from clouds.
+//! The computation of the field from samples, defined once for all backends. The field is computed
+//! with the paper's filters, or as distances from clouds.
 //!
 //! A request determines the [`Filters`]. Their reach, and the memory that they need, are therefore
 //! known before the calibration. A [`Recipe`] consists of the filters and the isovalue. For the
@@ -198,8 +198,8 @@ pub struct ThinShares<T> {
 pub struct WideFields<T> {
     /// The surface of the bulk, as distances.
     pub bulk: T,
-    /// For each cell, the greatest distance by which a particle whose drop can reach the cell lies
-    /// outside the calm surface.
+    /// For each cell, the greatest distance outside the calm surface among the particles whose
+    /// drops can reach the cell.
     pub outlying: T,
 }
 
@@ -324,7 +324,7 @@ pub trait Fields {
 
     /// The samples around the requested cells, in cells 2^`level` times as wide, with a halo of
     /// `halo` of these wider cells. At levels above 0, the requested cells lie between the middles
-    /// of the outermost wider cells even with a halo of 0.
+    /// of the outermost wider cells even if `halo` is 0.
     fn samples(&mut self, level: u32, halo: i32) -> Result<Self::Field, Self::Error>;
 
     /// Clouds, continued into solids: see [`solid`](crate::field::solid). `scale` is the factor in
@@ -406,7 +406,7 @@ pub trait Fields {
         bits: u32,
     ) -> Result<Self::Field, Self::Error>;
 
-    /// Whether clouds can contain a sheet, checked before they are smoothed.
+    /// Checks, before smoothing, whether `clouds` can contain a sheet.
     fn may_hold(&mut self, sheets: &Sheets, clouds: &Self::Field) -> bool;
 
     /// Clouds, reduced in the bulk, as in step 1 of [`sheets`](crate::field::sheets). `smooth` are
@@ -419,7 +419,7 @@ pub trait Fields {
         scale: u32,
     ) -> Result<Loose<Self::Field>, Self::Error>;
 
-    /// A field divided by another, in units of 1 / 2^`bits`.
+    /// Divides `field` by the field `by`, cell by cell. The quotients are in units of 1 / 2^`bits`.
     fn divided(
         &mut self,
         field: Self::Field,
@@ -428,7 +428,7 @@ pub trait Fields {
     ) -> Result<Self::Field, Self::Error>;
 
     /// Computes sheets on cells 2^`level` times as wide around the requested cells, from the
-    /// smoothed density on wider cells; `None` if there are certainly none.
+    /// smoothed density on wider cells. Returns `None` if there are certainly no sheets.
     fn sheets(
         &mut self,
         sheets: &Sheets,

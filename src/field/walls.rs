@@ -12,15 +12,15 @@
 //! The outermost layer of a lattice is half a spacing inside the wall; disordered particles reach
 //! the wall. One formula covers both cases. Let n be the number of particles per squared spacing in
 //! the outermost shell, and m their mean depth below the plane. If fluid of one particle per cubed
-//! spacing ends at the wall, the mean position of these particles is n/2 spacings inside the wall,
-//! for whole layers and for disordered particles, so the wall is n/2 - m spacings beyond the plane.
-//! Solvers push particles back at the wall, so particles pile up there, more densely than in full
-//! fluid. A gap behind the outermost layer distinguishes a layer from such a pile; without a gap, n
-//! is limited to its value in full fluid.
+//! spacing ends at the wall, the mean position of these particles is n/2 spacings inside the wall.
+//! This is true for whole layers and for disordered particles. The wall is therefore n/2 - m
+//! spacings beyond the plane. Solvers push particles back at the wall, so particles pile up there,
+//! more densely than in full fluid. A gap behind the outermost layer distinguishes a layer from
+//! such a pile; without a gap, n is limited to its value in full fluid.
 //!
-//! If particles have several sizes, each counts with its volume, and the spacing at a side is the
-//! size that occupies most of the area there. Much coarser particles do not count, so columns of
-//! them are not full.
+//! If particles have several sizes, each particle counts with its volume, and the spacing at a side
+//! is the size that occupies most of the area there. Particles much coarser than this spacing do
+//! not count, so a column of such particles is not full.
 //!
 //! All sums over particles are integers, so the order of the particles and the threads do not
 //! matter.
@@ -69,18 +69,19 @@ const FARTHEST: f64 = 0.75;
 /// The maximum distance, in spacings, between walls of several frames that count as the same wall.
 /// It is also the maximum distance of particles beyond a wall for which the wall is moved.
 const SAME: f64 = 0.5;
-/// A scene's wall is moved to the plane at which the fluid ends if it is at most this far beyond
-/// the plane, in spacings.
+/// The maximum distance, in spacings, by which a scene's wall may lie beyond the plane at which the
+/// fluid ends. Within this distance, the wall is moved to the plane.
 const KEPT: f64 = 2.0;
-/// A scene's wall is moved to the end of fluid that is too shallow or too uneven to show a plane if
-/// it is at most this far beyond that end, in spacings. Solvers keep fluid up to a spacing away
-/// from walls; farther away, such fluid may have a free surface.
+/// The maximum distance, in spacings, by which a scene's wall may lie beyond the end of fluid that
+/// is too shallow or too uneven to show a plane. Within this distance, the wall is moved to the end
+/// of the fluid. Solvers keep fluid up to a spacing away from walls; farther away, such fluid may
+/// have a free surface.
 const KEPT_TOUCHED: f64 = 1.1;
 /// The minimum number of particles per squared spacing in the shell of a column whose fluid touches
 /// a side.
 const TOUCHING: f64 = 0.5;
-/// The minimum number of columns that show where shallow fluid ends. This place is used only if a
-/// scene has a wall near it.
+/// The minimum number of columns that show where shallow fluid ends. The end of shallow fluid is
+/// used only if a scene has a wall near it.
 const FEWEST_TOUCHING: usize = 8;
 /// The maximum volume, in cubed spacings, of the particles in a shell that holds only stray drops.
 const FEW: f64 = 32.0;
@@ -93,8 +94,8 @@ const VOLUME_STEPS: f64 = 16.0 * MOST_TIMES * MOST_TIMES * MOST_TIMES;
 const CLASSES: usize = 13;
 /// The weight of the area of each class of sizes, relative to the weight of the next finer class.
 const FINER: f64 = 0.84;
-/// The maximum size, in spacings, of particles that count at a side. It is larger than nearly all
-/// particles in the class that gives the spacing.
+/// The maximum size, in spacings, of particles that count at a side. This limit is larger than
+/// nearly all particles in the class that gives the spacing.
 const LARGEST: f64 = 1.3;
 
 /// The evidence of one frame about a side of the box around the particles.
@@ -116,7 +117,7 @@ pub struct Ends {
     /// The least and the greatest coordinate along each axis.
     reach: [[f64; 2]; 3],
     sides: [[BoxSide; 2]; 3],
-    /// For each side, the coordinate at which a wall would be if the fluid touched one there.
+    /// For each side, the coordinate of the wall, assuming that the fluid touches a wall there.
     /// Unlike a plane, shallow or uneven fluid does not show whether there is a wall. `None` if too
     /// little fluid is near the outermost particle.
     touched: [[Option<f64>; 2]; 3],
@@ -188,9 +189,10 @@ struct SideColumns {
 }
 
 impl Ends {
-    /// Examines the ends of the particles that the grid can hold; returns `None` if there are none.
-    /// If all particles lie in a plane, `flat` is the axis perpendicular to it, along which they
-    /// have no ends. Sizes whose attribute does not exist are ignored.
+    /// Examines the ends of the particles that the grid can hold. Returns `None` if the grid can
+    /// hold none of the particles. If all particles lie in a plane, `flat` is the axis
+    /// perpendicular to the plane. The particles have no ends along this axis. Sizes whose
+    /// attribute does not exist are ignored.
     ///
     /// The particles are read once, once more if their bounds are not known, and once more if they
     /// have several sizes. Memory use is about eight megabytes at most.
@@ -365,8 +367,8 @@ impl SideColumns {
     /// Whether the columns show a wall, and its position.
     fn judged(&self) -> BoxSide {
         /// The minimum number of full columns, in total and per group. The first pair is for
-        /// particles that lie in a plane, where the total is 24 spacings long; the second is for
-        /// other particles, where it covers 120 squared spacings.
+        /// particles that lie in a plane, where 12 columns are 24 spacings long. The second pair is
+        /// for other particles, where 30 columns cover 120 squared spacings.
         const LEAST: [(usize, usize); 2] = [(12, 2), (30, 4)];
         let (least, least_of_group) = LEAST[usize::from(self.area > COLUMN)];
         let behind = FULL * self.area * (BEHIND[1] - BEHIND[0]);
@@ -388,8 +390,8 @@ impl SideColumns {
         }
         groups.sort_unstable_by(f64::total_cmp);
         let median = groups[groups.len() / 2];
-        // A few particles may lie in front of the others, because solvers let some particles
-        // through.
+        // A few particles may lie in front of the others, because solvers let some particles pass
+        // through walls.
         let end = median.min(NEAR) + NEAR;
         let ending = self.columns.iter().filter(is_full).filter(|c| c.nearest() < end).count();
         let level = groups.iter().filter(|&&depth| (depth - median).abs() <= LEVEL).count();
@@ -403,8 +405,8 @@ impl SideColumns {
         BoxSide::Plane(self.wall(&shell))
     }
 
-    /// The coordinate of the wall if the fluid touches one here, however shallow the fluid is.
-    /// `None` if too little fluid is near the outermost particle.
+    /// The coordinate of the wall, assuming that the fluid touches a wall at this side, however
+    /// shallow the fluid is. `None` if too little fluid is near the outermost particle.
     fn touched(&self) -> Option<f64> {
         let touches = |column: &&ColumnCounts| {
             column.nearest() < NEAR && volume(&column.shell) >= TOUCHING * self.area
@@ -433,7 +435,7 @@ struct Shell {
 }
 
 impl Shell {
-    /// Sums the counts of columns, each of which has the cross-section `area`.
+    /// Sums the counts of columns. Each column has the cross-section `area`.
     fn of<'a>(columns: impl Iterator<Item = &'a ColumnCounts>, area: f64) -> Self {
         let (mut count, mut shell, mut in_gap, mut depths) = (0_u32, 0.0, 0.0, 0.0);
         for column in columns {
@@ -468,7 +470,7 @@ impl ColumnCounts {
     }
 }
 
-/// Bounds of the particles that a grid can hold; `None` if it can hold no particle.
+/// Bounds of the particles that a grid can hold; `None` if it can hold none of the particles.
 #[must_use]
 pub fn bounds_on_grid(particles: &dyn Particles, grid: &Grid) -> Option<Bounds> {
     let is_on_grid = |position: [f64; 3]| grid.place(position).is_ok();
@@ -517,15 +519,16 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     if of_few_digits == 0.0 { 0.0 } else { of_few_digits }
 }
 
-/// The walls of a tank, according to all examined frames and, if they are known, the walls of a
-/// scene or of the caller, which `scene` contains.
+/// The walls of a tank, according to all examined frames and to `scene`. `scene` contains the walls
+/// of a scene or of the caller, if they are known.
 ///
 /// With one frame, its planes are the walls. With several frames, a side has a wall under three
 /// conditions: at least two frames, and at least a third of all frames, show a wall at the same
 /// place; fewer frames have a ragged end at that place than show the wall; and no frame has more
-/// than stray drops beyond the wall. The top is open unless a scene has a wall there. The top is
-/// the upper side of the axis `up`, if that is known; otherwise the upper side of y, if both y and
-/// z have a wall at the upper side. Also returns whether the scene's walls fit the particles.
+/// than stray drops beyond the wall. The top is open unless a scene has a wall there. If `up` is
+/// known, the top is the upper side of the axis `up`. Otherwise, the top is the upper side of y, if
+/// both y and z have a wall at the upper side. Also returns whether the scene's walls fit the
+/// particles.
 pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Walls, bool) {
     let fits = |scene: &&Walls| {
         let sides = (0..3).flat_map(|axis| [(axis, 0), (axis, 1)]);
@@ -556,9 +559,9 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
 }
 
 /// The wall at a side where a scene has `wall`. Solvers keep a distance from walls, so if the fluid
-/// of any frame ends near `wall`, the result is where the fluid ends, according to the frame in
-/// which it ends farthest out. Otherwise, the result is `wall`, or `None` if particles are far
-/// beyond `wall`.
+/// of any frame ends near `wall`, the result is the place where the fluid ends. If the fluid of
+/// several frames ends near `wall`, the outermost of these places counts. If the fluid of no frame
+/// ends near `wall`, the result is `wall`, or `None` if particles are far beyond `wall`.
 fn wall_near_scene(frames: &[Ends], (axis, end): (usize, usize), wall: f64) -> Option<f64> {
     let spacing = spacing_at(frames, axis, end);
     let is_near = |at: &f64, most| (-SAME..=most).contains(&(outside(end, wall, *at) / spacing));
@@ -602,8 +605,8 @@ fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     rounded(end, reach, reach, spacing_at(frames, axis, end))
 }
 
-/// The greatest spacing at a side, among the frames that end in a plane there or, if there are
-/// none, among all frames.
+/// The greatest spacing at a side, among the frames that end in a plane there or, if no frame does,
+/// among all frames.
 fn spacing_at(frames: &[Ends], axis: usize, end: usize) -> f64 {
     let greatest = |frames: &mut dyn Iterator<Item = &Ends>| {
         frames.map(|frame| frame.spacings[axis][end]).reduce(f64::max)
@@ -636,8 +639,9 @@ impl Ends {
 }
 
 /// Adapts walls to particles within `bounds`, so that no particle is outside. `spacings` holds the
-/// spacing at each side. A wall is moved if particles are slightly beyond it; if they are farther
-/// beyond it, its side becomes open. Also returns all walls that have particles beyond them.
+/// spacing at each side. A wall is moved if particles are slightly beyond it. If particles are
+/// farther beyond a wall, its side becomes open. Also returns all walls that have particles beyond
+/// them.
 #[must_use]
 pub fn adapted(
     walls: &Walls,
@@ -833,7 +837,7 @@ mod tests {
             (1, 1e-12 / 3.0, 1e-12 / 3.0, 1e-13),
         ] {
             let rounded = rounded(end, wall, reach, spacing);
-            assert!(outside(end, rounded, reach) >= 0.0, "{rounded} loses {reach}");
+            assert!(outside(end, rounded, reach) >= 0.0, "{rounded} excludes {reach}");
             assert!((rounded - wall).abs() <= 0.01 * spacing, "{rounded} for {wall}");
         }
     }

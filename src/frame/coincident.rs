@@ -32,8 +32,8 @@ pub struct CoincidentCounts {
 
 /// Number of bits of the hash that finds records (packed particles) which may occur twice.
 const BITS: u32 = 13;
-/// Maximum number of a bin's records for which the hash is used. Among more records, too many
-/// different records have equal hashes.
+/// Maximum number of records in a bin for which the hash is used. In a bin with more records, too
+/// many different records have equal hashes.
 const MOST_HASHED: usize = 1 << (BITS - 1);
 
 impl CoincidentCounts {
@@ -95,7 +95,8 @@ impl CoincidentCounts {
 /// Returns all records that occur more than once, and the records whose hash equals the hash of a
 /// different record.
 fn possible_duplicates(records: &[u64]) -> Vec<u64> {
-    // One bit for each hash: whether it occurs at least once, and whether it occurs at least twice.
+    // For each hash, a bit in `seen[0]` is set if the hash occurs at least once, and a bit in
+    // `seen[1]` if it occurs at least twice.
     let mut seen = [[0_u64; 1 << (BITS - 6)]; 2];
     // Multiplying by the golden ratio spreads a difference in any bit to the high bits.
     let bit = |record: u64| {

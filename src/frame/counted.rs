@@ -120,8 +120,8 @@ impl<'a> CountedFrame<'a> {
     }
 
     /// Checks the surface request, then counts the particles for it. If `plan` is given, it
-    /// replaces the count. `plan` must be a count of all particles that was made with the same
-    /// settings, as far as settings affect a plan.
+    /// replaces the count. `plan` must be a count of all particles, and the settings that affect a
+    /// plan must not have changed since it was made.
     pub fn for_surface(
         particles: &'a dyn Particles,
         sampling: &'a Sampling,
@@ -247,7 +247,7 @@ fn fitting_cell_size(particles: &dyn Particles, sampling: &Sampling, room: Count
     loop {
         cell *= 2.0;
         let Ok(grid) = Grid::new(sampling.grid.origin(), cell) else { return cell };
-        // Counts without walls, because walls never increase the number of bins.
+        // Walls never increase the number of bins, so a count without walls is an upper bound.
         if BinPlan::count(particles, &grid, None, InvalidParticles::Skip, room).is_ok() {
             return cell;
         }

@@ -63,8 +63,8 @@ pub struct MemoryEstimate {
     pub surface: u64,
     /// Expected number of vertices of the surface.
     pub vertices: u64,
-    /// Expected number of vertices if all cells were as narrow as the finest, as the voxels of a
-    /// level set are.
+    /// Expected number of vertices if all cells were as narrow as the finest, like the voxels of a
+    /// level set.
     pub in_finest_cells: u64,
     /// Whether particles are kept for their attributes until the surface is done.
     pub carried: bool,
@@ -315,7 +315,7 @@ impl MemoryEstimate {
         if self.carried { self.particles } else { 0 }
     }
 
-    /// Whether the surface exceeds its share of memory under a plan, so that it goes to a file.
+    /// Whether the surface exceeds its share of memory under a plan and therefore goes to a file.
     pub fn has_surface_in_files(&self, plan: MemoryPlan) -> bool {
         matches!(plan, MemoryPlan::OutOfCore(shares) if self.surface > shares.surface)
     }

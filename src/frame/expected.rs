@@ -6,8 +6,8 @@
 //! line begins and ends, so the number of vertices at the face between two bins is the number of
 //! cells in the face times the difference in fullness. A layer that is thinner than a bin begins
 //! and ends within the bin. The estimate therefore uses the square root of the filled fraction of a
-//! bin, which gives more vertices for such layers. Drops that are much smaller than a bin are
-//! counted by their particles.
+//! bin, which gives more vertices for such layers. For drops that are much smaller than a bin, the
+//! estimate adds vertices in proportion to the number of particles.
 //!
 //! The constants are fitted to frames of FLIP and SPH and to clouds of random particles, in cells
 //! of 1 to 1/4 spacings. For frames with at least 10^5 particles, the number of vertices is between
@@ -23,7 +23,8 @@ use crate::grid::{BIN, MortonKey, block_of_bin};
 /// cells in the face, because a wrinkled surface has more vertices than a plane.
 const FACE: f64 = 1.05 * (BIN * BIN) as f64;
 
-/// The volume, in cubed spacings, that is empty around a particle with its own surface.
+/// A particle is assumed to have its own surface if this volume around it, in cubed spacings,
+/// contains no other particle.
 const EMPTY_VOLUME: i32 = 8;
 
 /// The expected vertices of a surface.
@@ -32,8 +33,8 @@ pub(super) struct ExpectedVertices {
     pub(super) vertices: u64,
     /// The number of vertices if all cells were as narrow as the finest.
     pub(super) in_finest_cells: u64,
-    /// The mean, over all vertices, of the number of vertices in the vertex's block. Full blocks
-    /// count for more than in a mean over blocks.
+    /// The mean, over all vertices, of the number of vertices in the vertex's block. Blocks with
+    /// many vertices therefore count more than in a mean over blocks.
     pub(super) in_its_block: u64,
 }
 
@@ -52,8 +53,8 @@ impl ExpectedVertices {
     /// An upper bound of the number of vertices in `blocks` blocks together, if no block has more
     /// than `most` vertices.
     pub(super) fn vertices_of(&self, blocks: u64, most: u64) -> u64 {
-        // A single block can be full of spray, so it is assumed to have `most` vertices; the other
-        // blocks are typical. Few frames have more than twice the expected number of vertices.
+        // One block can be full of spray, so `most` vertices are added for it. The expected numbers
+        // are doubled, because few frames have more than twice the expected number of vertices.
         let like_most = self.in_its_block.saturating_mul(2 * blocks).saturating_add(most);
         (blocks * most).min(like_most).min(self.vertices.saturating_mul(2))
     }

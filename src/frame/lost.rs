@@ -153,8 +153,8 @@ impl OccupiedTiles {
     }
 
     /// A lower bound of the density in the tiles that contain particles, relative to the density of
-    /// particles `spacing_cells` apart. In tiles smaller than a spacing, a single particle would
-    /// look dense, so bins are used instead.
+    /// particles `spacing_cells` apart. If tiles are smaller than a spacing, a tile with a single
+    /// particle would seem dense, so bins are used instead of tiles.
     pub fn relative_density(&self, spacing_cells: f64) -> f64 {
         let (mean, edge) = if spacing_cells > f64::from(TILE) {
             (self.particles() / self.bins.len().max(1) as f64, BIN)
@@ -177,7 +177,7 @@ impl OccupiedTiles {
     /// A lower bound of the number of particles outside the surface. A tile is lost if it is
     /// outside, and if the surface passes neither through it nor through an adjacent tile with
     /// lower coordinates. If all tiles of a bin that contain particles are lost, all particles of
-    /// the bin count. Otherwise, one particle counts for each lost tile.
+    /// the bin count. Otherwise, each lost tile counts as one particle.
     pub fn lost(&self, surface: &StitchedSurface) -> io::Result<u64> {
         let bins = match surface.widest_level() {
             0 => BinInRow::sorted(self, surface)?,
@@ -274,8 +274,8 @@ impl BinInRow {
         };
         let mut all: Vec<Self> = occupied.bins.iter().map(from_occupied).collect();
         // Each entry is a tile that the surface passes through: the wide tile that contains it, its
-        // end along x, and whether the inside of the fluid follows behind this end. Behind the last
-        // of these tiles, the rest of the wide tile is on one side of the surface.
+        // end along x, and whether the inside of the fluid follows behind this end. The part of a
+        // wide tile behind its last entry is completely on one side of the surface.
         let mut passed: Vec<([i32; 3], i32, bool)> = Vec::new();
         for piece in 0..surface.pieces() {
             let (block, level) = (surface.block(piece), surface.level(piece));

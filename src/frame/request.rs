@@ -135,8 +135,8 @@ impl Sampling {
         surfacing: &Surfacing,
         coarsest: Option<f64>,
     ) -> DecidingCells {
-        // `block` is the block of the widest cells whose lowest corner is the origin. If there are
-        // several levels, it is enlarged by four of the widest cells on each side, because dual
+        // `block` is a block of the widest cells, with its lowest corner at the origin. If there
+        // are several levels, it is enlarged by four of the widest cells on each side, because dual
         // cells and normals use cells beyond its faces.
         let widest = if self.periodic.is_some() { 0 } else { self.octaves(coarsest) - 1 };
         let further = if widest == 0 { 0 } else { 4 << widest };
@@ -425,7 +425,7 @@ impl Surfacing {
     }
 }
 
-/// The wide cells for a spacing, or for cells of one spacing if the spacing is unknown.
+/// The wide cells for a spacing. An unknown spacing is assumed to be one cell.
 fn wide_cells(spacing: Option<f64>, grid: &Grid) -> WideCells {
     WideCells::of_spacing(spacing.map_or(1.0, |spacing| spacing / grid.cell_size()))
 }

@@ -59,8 +59,8 @@ pub struct Exchange<'a> {
     /// Semaphores to wait for before the positions are read. The device waits for them even if the
     /// call fails, so a second call must not wait for a binary semaphore again.
     pub wait: &'a [SemaphorePoint],
-    /// Semaphores to signal when the surface is complete. The call may return earlier. After an
-    /// error, they are not signalled.
+    /// Semaphores to signal when the surface is complete. The call may return before the device
+    /// signals them. After an error, they are not signalled.
     pub signal: &'a [SemaphorePoint],
     /// Buffers for positions and indices, on the device of the pipeline.
     pub into: Option<[&'a View; 2]>,

@@ -19,7 +19,7 @@ pub struct Resources {
     pub scratch: PathBuf,
     /// The backend that the stages run on.
     pub backend: Backend,
-    /// Progress and cancellation for the caller.
+    /// Reports progress to the caller, and lets the caller cancel the work.
     pub control: Control,
 }
 

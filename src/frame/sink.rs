@@ -123,8 +123,8 @@ impl FieldSink {
         }
     }
 
-    /// Finishes the DIF, now that its indicator is known. If the DIF is in a file, as much of it is
-    /// cached in memory as its share allows.
+    /// Finishes the DIF, now that its indicator is known. If the DIF is in a file, parts of it are
+    /// cached in memory, up to the share of the DIF.
     pub(super) fn finish(
         self,
         facts: FrameFacts,

@@ -38,8 +38,8 @@ type Contour<'a> =
 
 /// Meshes regions cube by cube. One thread meshes all regions in a cube with edges of `edge`
 /// blocks, and also finishes their meshes. `mesh` makes the meshes and reports the regions to the
-/// meter. One thread does both steps because sums of a field and sums of attributes use different
-/// resources of a core, so they run well side by side.
+/// meter. The same thread meshes and finishes a cube, because sums of a field and sums of
+/// attributes use different resources of a core, so they run well side by side.
 pub(super) fn cube_by_cube<'a>(
     edge: i32,
     mesh: impl Fn(&[LevelRegion], &Meter<'_>) -> io::Result<Vec<BlockMesh>> + Sync + 'a,
@@ -187,8 +187,8 @@ impl<'a> CalibratedFrame<'a> {
     }
 
     /// Meshes all blocks in Morton order into `spool`, which moves to a scratch file when it
-    /// exceeds its share of memory. As many blocks are meshed at once as fit into the rest of that
-    /// share, but at least [`BLOCKS_PER_THREAD`] per thread.
+    /// exceeds its share of memory. Each batch has as many blocks as fit into the unused part of
+    /// that share, but at least [`BLOCKS_PER_THREAD`] blocks per thread.
     fn mesh_blocks(&self, spool: &mut Spool) -> Result<(), FrameError> {
         let (share, in_scratch) = (self.surface_share, self.resources.scratch_error());
         // Wide attributes need much more memory than the mesh, so they are added after meshing, to a
@@ -220,8 +220,9 @@ impl<'a> CalibratedFrame<'a> {
         Ok(())
     }
 
-    /// Carries the attributes of as many blocks at a time as fit into [`CARRIED_BYTES`], and adds
-    /// the blocks to `spool`, which moves to a scratch file when it exceeds its share of memory.
+    /// Carries attributes to groups of blocks. Each group fits into [`CARRIED_BYTES`] or is a
+    /// single block. Adds the blocks to `spool`, which moves to a scratch file when it exceeds its
+    /// share of memory.
     fn carry_in_groups(&self, mut blocks: Vec<BlockMesh>, spool: &mut Spool) -> io::Result<()> {
         while !blocks.is_empty() {
             let mut bytes = 0;

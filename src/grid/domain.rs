@@ -65,9 +65,9 @@ impl fmt::Display for Walls {
 
 /// A box with walls that the fluid cannot leave.
 ///
-/// The domain's cells are those whose centre lies inside. Walls need not fall on cell faces: the
-/// outermost layer of cells extends to the wall, so it is between 0.5 and 1.5 cells thick. An open
-/// side is at -inf or inf.
+/// A cell belongs to the domain if its centre lies inside the walls. Walls need not lie on cell
+/// faces. The outermost layer of cells extends to the wall, so this layer is between 0.5 and 1.5
+/// cells thick. An open side is at -inf or inf.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Domain {
     lo: DVec3,

@@ -4,8 +4,8 @@ use glam::IVec3;
 
 use super::CellBox;
 
-/// The planes at which a field is mirrored: the walls of a tank, in cells of one width. Filters see
-/// the mirror image of the fluid beyond each wall. A film on a wall therefore looks like a free
+/// The planes at which a field is mirrored: the walls of a tank, in cells of one width. Beyond each
+/// wall, filters use the mirror image of the fluid. They therefore treat a film on a wall as a free
 /// sheet twice as thick, and the surface meets the wall at a right angle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Mirror {

@@ -5,10 +5,10 @@
 //! infinitely repeated fluid. The edges of a box may have different lengths, and need not be whole
 //! numbers of cells long.
 //!
-//! Simulations usually wrap coordinates into the box only now and then, for example whenever they
-//! build lists of neighbours, and may write particles that have left the box since. A particle
-//! slightly outside the box is therefore wrapped: it moves by one period. A particle far outside
-//! shows that the box is wrong.
+//! Simulations usually wrap coordinates into the box only from time to time, for example whenever
+//! they build lists of neighbours. Their files can contain particles that have left the box since
+//! the last wrap. A particle slightly outside the box is therefore wrapped: it moves by one period.
+//! A particle far outside shows that the box is wrong.
 
 use glam::{DVec3, IVec3};
 use serde::{Deserialize, Serialize};

@@ -37,8 +37,8 @@ impl Stretch {
         if last < self.first || self.end <= first || cube.intersection(blocks).is_empty() {
             return false;
         }
-        // The cube overlaps both the box and the stretch. If one of them contains the whole cube,
-        // they share a block.
+        // The cube overlaps both the box and the stretch. If the box or the stretch contains the
+        // whole cube, the box and the stretch share a block.
         if blocks.covers(&cube) || self.first <= first && last < self.end {
             return true;
         }

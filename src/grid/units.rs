@@ -100,7 +100,8 @@ pub fn significant(number: f64, digits: usize) -> String {
     }
 }
 
-/// The isovalue `c`, held as an integer plus one half on the scale of the field.
+/// The isovalue `c`. It is stored as an integer n, which stands for n + 1/2 on the scale of the
+/// field.
 ///
 /// A sample is inside the fluid when it is greater than [`threshold`](Self::threshold). No sample
 /// can be equal to `threshold + 1/2`, so no vertex ever falls on a sample.

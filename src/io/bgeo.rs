@@ -18,10 +18,10 @@ const NUMBER: u64 = 4;
 
 /// Reads the header and the names of the attributes. The points are read later.
 ///
-/// A vector or a list of numbers is one attribute. An attribute with one indexed string per point
-/// is a label, unless its table has more than `MOST_TEXTS` strings. A point whose index is -1 has
-/// the empty string. Positions are not divided by the weight w, which is 1 for all points that do
-/// not belong to a curve.
+/// A vector or a list of numbers becomes one attribute. An attribute with one indexed string per
+/// point becomes a label, unless its table has more than `MOST_TEXTS` strings. A point whose index
+/// is -1 gets the empty string. Positions are not divided by the weight w, which is 1 for all
+/// points that do not belong to a curve.
 ///
 /// # Errors
 /// [`ReadFault::Unsupported`] for a version other than 5 and for strings that are not indexed,
@@ -78,8 +78,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
     let position = [0, 1, 2].map(|axis| position.component(axis));
     let particles: ColumnStore =
         ColumnStore::new(bytes, ParticleRows::All(points as usize), position, attributes);
-    // The index -1 stands for no string. Read as an unsigned number, it is greater than the index
-    // of every string. A point with this index gets the label's first text, which is empty.
+    // The index -1 stands for no string. As an unsigned number, this index is greater than the
+    // index of every string. A point with this index gets the label's first text, which is empty.
     let labels = labels.into_iter().map(|(name, texts, within)| {
         let (label, places) = label(name, texts);
         (label, (column(Scalar::U32, within), places))
@@ -88,8 +88,8 @@ pub fn read_particles(bytes: Bytes) -> Result<ParticleFile, ReadFault> {
 }
 
 /// Returns the label with these texts, and maps their indices in the file to indices in the label.
-/// The label also contains the empty text, which is its first, because points without a string get
-/// the first text.
+/// The first text of the label is the empty text, because points without a string get the first
+/// text.
 fn label(name: String, texts: Vec<String>) -> (Label, Vec<u32>) {
     let unique: BTreeSet<String> = texts.iter().cloned().chain([String::new()]).collect();
     let unique: Vec<String> = unique.into_iter().collect();

@@ -1,5 +1,5 @@
-//! Reads DualSPHysics' .bi4 (JBinaryData): the fluid particles of one frame. DualSPHysics calls a
-//! frame a part, and may divide it into several files, its pieces.
+//! Reads the fluid particles of one frame from DualSPHysics' .bi4 (JBinaryData). DualSPHysics calls
+//! a frame a part, and may divide a part into several files, which it calls pieces.
 //!
 //! A file head of 64 bytes is followed by a tree of items. An item contains named values, named
 //! arrays and child items. Each item, each list of values and each array is preceded by the size of
@@ -94,8 +94,8 @@ pub(super) fn later_pieces(path: &Path) -> Vec<PathBuf> {
     })
 }
 
-/// The error for a file that is not the expected piece. The pairs are the number of the piece and
-/// the number of pieces.
+/// The error for a file that is not the expected piece. Each pair contains the number of the piece
+/// and the number of pieces.
 fn misplaced(found: (Option<u64>, u64), expected: (Option<u64>, u64)) -> ReadFault {
     let described = |(piece, pieces): (Option<u64>, u64)| {
         format!("piece {} of {pieces}", piece.map_or("?".to_owned(), |piece| piece.to_string()))

@@ -32,7 +32,7 @@ enum OpenedBlock {
 }
 
 impl OpenedBlock {
-    /// Whether all cells are lines, whose points may be particles.
+    /// Whether all cells of the block are lines. The points of lines may be particles.
     fn is_lines(&self) -> bool {
         match self {
             Self::Particles(file) => file.only_lines,
@@ -184,7 +184,7 @@ fn joined_names(blocks: &[FrameBlock], files: &[Option<ParticleFile>]) -> Option
 }
 
 impl FrameBlock {
-    /// The name of the block or, without a name, of its file.
+    /// The name of the block, or the name of its file if the block has no name.
     fn title(&self) -> String {
         let file = self.file.file_name().unwrap_or_default().to_string_lossy();
         self.name.clone().unwrap_or_else(|| file.into_owned())

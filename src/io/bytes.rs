@@ -53,7 +53,7 @@ pub enum PrivateBytes {
 
 impl Bytes {
     /// Reads all bytes of the file into memory or a scratch file. Other programs cannot change this
-    /// copy while it is decoded, which can take long.
+    /// copy while it is decoded, which can take a long time.
     ///
     /// # Errors
     /// [`ReadFault::Changed`] and [`ReadFault::Io`] for a file that has changed or cannot be read,
@@ -303,8 +303,8 @@ impl<'a> ByteView<'a> {
     ///
     /// # Errors
     /// [`ReadFault::Changed`] if the file was not read as a whole. A reader calls this function
-    /// only for content that it reads as a whole when it opens a file. If the file was not read as
-    /// a whole, its content was different when it was opened, so the file has changed since.
+    /// only for content, such as text, that it reads as a whole when it opens the file. If the file
+    /// was not read as a whole, it had other content when it was opened, and has changed since.
     pub fn kept(self) -> Result<Slice<'a>, ReadFault> {
         match self {
             Self::File(_) => Err(ReadFault::Changed),
@@ -323,7 +323,7 @@ impl<'a> ByteView<'a> {
     /// Checks that the file has not changed since it was opened.
     ///
     /// # Errors
-    /// [`ReadFault::Changed`] if it has.
+    /// [`ReadFault::Changed`] if the file has changed.
     pub fn check(self) -> Result<(), ReadFault> {
         match self {
             Self::File(file) => Ok(file.check()?),

@@ -23,8 +23,8 @@ use super::{ParticleFile, ReadError, ReadFault, malformed};
 pub struct ListedFrame {
     /// The time, if the list contains it.
     pub time: Option<f64>,
-    /// The data sets of this frame: in the order of the attribute `part` in a .pvd, or in list
-    /// order in a .series.
+    /// The data sets of this frame. Those of a .pvd file are sorted by the attribute `part`. Those
+    /// of a .series file are in list order.
     pub blocks: Vec<FrameBlock>,
 }
 
@@ -55,7 +55,7 @@ pub fn is_list(path: &Path) -> bool {
 /// # Errors
 /// [`ReadError`] for a list that cannot be read, is empty, or contains another list.
 pub fn listed(path: &Path) -> Result<Arc<[ListedFrame]>, ReadError> {
-    // Cache the last list, because a simulation needs the list for each of its frames.
+    // Cache the last list, because the list is needed again for each of its frames.
     static LAST: LastFile<Arc<[ListedFrame]>> = LastFile::new();
     let Ok(metadata) = path.metadata() else { return read_list(path).map(Into::into) };
     let stamp = FileStamp::of(&metadata);

@@ -2,8 +2,8 @@
 //! this form.
 //!
 //! The reader of a binary format parses the header and locates the columns. The reader of a text
-//! format first decodes the text into little-endian columns. Apart from this, formats are handled
-//! in the same way.
+//! format first decodes the text into little-endian columns. After this step, all formats are
+//! handled in the same way.
 
 use std::collections::HashSet;
 use std::ops::Range;
@@ -91,7 +91,7 @@ impl Column {
         Self { offset: self.offset + index * self.scalar.size(), ..self }
     }
 
-    /// The number that `bytes`, from its first byte to its last, stores.
+    /// Decodes the number at the start of `bytes`.
     pub fn number(&self, bytes: &[u8]) -> f64 {
         let mut number = [0.0];
         let window = Window { particles: 0..1, rows: None, bytes };
@@ -122,8 +122,8 @@ pub struct ColumnStore<B = InputBytes> {
 pub enum ParticleRows {
     /// Rows 0 to `n - 1`, where `n` is this number.
     All(usize),
-    /// Selected rows. A .bi4 file mixes fluid with boundary particles, and conditions select
-    /// particles.
+    /// The rows that a sieve selects, such as the fluid particles of a .bi4 file, or the particles
+    /// that satisfy the conditions.
     Selected(Sieve),
 }
 
@@ -283,8 +283,8 @@ impl Window<'_> {
     /// Converts `K` adjacent numbers of each particle, and writes them to the start of the
     /// particle's group of `step` numbers in `out`.
     ///
-    /// The compiler makes a copy of this function for each pair of types, so the function contains
-    /// only the conversion.
+    /// The compiler generates a copy of this function for each pair of types. To keep these copies
+    /// small, the function contains only the conversion.
     fn convert<T, const K: usize, const N: usize>(
         &self,
         stride: usize,

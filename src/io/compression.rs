@@ -1,4 +1,5 @@
-//! Compressed files: gzip, xz or zstd, detected by the first bytes of the file.
+//! Detects and unpacks files that are compressed by gzip, xz or zstd. The first bytes of a file
+//! identify its compression.
 
 use std::io::{self, BufReader, Read};
 

@@ -78,8 +78,8 @@ pub struct Arrangement {
     pub position: LocatedQuantity,
     /// The other quantities with the same number of particles.
     pub attributes: Vec<LocatedQuantity>,
-    /// Arrays with too many numbers per particle, and arrays of numbers that do not match the
-    /// number of particles.
+    /// Arrays with too many numbers per particle, and arrays whose shape does not match the number
+    /// of particles.
     pub left_out: Vec<UnreadPart>,
 }
 
@@ -347,7 +347,7 @@ pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
 }
 
 /// Advice for arrays that would contain positions if there were a third coordinate. `None` for
-/// other arrays. `arranged` finds the position, such as [`arrange`].
+/// other arrays. `arranged` is the function that finds the position, such as [`arrange`].
 pub fn advice_on_plane(
     fields: &[NamedArray],
     arranged: impl Fn(&[NamedArray]) -> Result<Option<Arrangement>, ReadFault>,

@@ -229,8 +229,9 @@ pub fn file_and_step(path: &Path) -> (&Path, Option<u64>) {
         let holds_steps = match InputFormat::of(file) {
             _ if is_list(file) => true,
             Some(Csv | Hdf5 | Lammps | Npy | Npz | Xyz) => true,
-            // For other extensions, the caller may override the format. The number after `#` is
-            // then a step if a file exists at the path before `#`, but none at the whole path.
+            // For other extensions, the caller may override the format. In this case, the number
+            // after `#` is a step if a file exists at the path before `#`, and the whole path does
+            // not exist.
             _ => file.is_file() && !path.exists(),
         };
         Some((file, step.parse().ok().filter(|_| holds_steps)?))

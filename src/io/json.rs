@@ -1,4 +1,4 @@
-//! Reads a JSON list of positions, each a list of x, y and z, as splashsurf writes it.
+//! Reads a JSON list of positions, as splashsurf writes it. Each position is a list of x, y and z.
 
 use std::fmt;
 use std::io::BufReader;
@@ -61,7 +61,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
 /// Decodes positions one by one, without a list of all positions in memory.
 struct Positions<'a, 'u> {
     rows: &'a mut UnpackBuffer<'u>,
-    /// The result of the last write to `rows`. The errors of serde cannot contain it.
+    /// The result of the last write to `rows`. It is stored here because serde's errors cannot
+    /// contain a [`ReadFault`].
     scratch: &'a mut Result<(), ReadFault>,
     /// The count of numbers in the last complete row.
     width: &'a mut usize,

@@ -1,9 +1,9 @@
 //! Reads LAMMPS dumps in text. Each step has a box, and one row per atom.
 //!
-//! The position is `x y z`, else `xu yu zu`, else `xs ys zs`, else `xsu ysu zsu`. The last two are
-//! fractions of the edges of the box, which may be a parallelepiped (LAMMPS' documentation of the
-//! command `dump`, and "Triclinic simulation boxes"). `sim.dump#1000` denotes the step with number
-//! 1000.
+//! The columns of the position are `x y z`, else `xu yu zu`, else `xs ys zs`, else `xsu ysu zsu`.
+//! The numbers in `xs ys zs` and `xsu ysu zsu` are fractions of the edges of the box, which may be
+//! a parallelepiped (LAMMPS' documentation of the command `dump`, and "Triclinic simulation
+//! boxes"). `sim.dump#1000` denotes the step with number 1000.
 
 use super::bytes::{Bytes, Unpacking};
 use super::error::ADD_Z;

@@ -89,8 +89,8 @@ const COLUMN_WORDS: [&str; 34] = [
     "vz",
 ];
 
-/// Ends of names that begin with the axis of a position, such as `x-coordinate`, `xpos` or `x_m`.
-/// LAMMPS writes `xu` for positions that are not wrapped into the periodic box.
+/// Suffixes of names that begin with the axis of a position, such as `x-coordinate`, `xpos` or
+/// `x_m`. LAMMPS writes `xu` for positions that are not wrapped into the periodic box.
 const AXIS_FIRST: [&str; 7] = ["coordinate", "coord", "position", "pos", "p", "m", "u"];
 
 /// Names of the field that contains the time of a file, in order of preference. VTK writes
@@ -105,7 +105,7 @@ pub fn time_arrays() -> impl Iterator<Item = &'static str> {
 
 /// Name of a colour whose components are separate columns.
 pub const COLOUR: &str = "color";
-/// Names of the columns of a colour; the fourth is optional.
+/// Names of the columns of a colour. The fourth column is optional.
 pub const COLOURS: [[&str; 4]; 3] = [
     ["red", "green", "blue", "alpha"],
     ["diffuse_red", "diffuse_green", "diffuse_blue", "diffuse_alpha"],

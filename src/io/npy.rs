@@ -1,7 +1,8 @@
 //! Reads positions of f16, f32 or f64 from NumPy's .npy files.
 //!
-//! The array has shape (N, 3), (3, N) or, for several frames, (T, N, 3), or is a structured array.
-//! Both byte orders are supported, and both memory layouts (C order and Fortran order).
+//! The array has shape (N, 3), (3, N) or, for several frames, (T, N, 3). It may also be a
+//! structured array. Both byte orders are supported, and both memory layouts (C order and Fortran
+//! order).
 //!
 //! The header is a Python dictionary. It is parsed according to the few rules that NumPy's own
 //! writer follows, because a general parser of Python literals can take hours for a kilobyte of
@@ -165,8 +166,8 @@ impl NpyHeader {
         self.descr.ends_with('O')
     }
 
-    /// The numeric arrays in this array: each member of a structure, or the array itself, called
-    /// `name`.
+    /// The numeric arrays in this array. If the elements are structures, each numeric member of the
+    /// structure is an array. If the elements are numbers, the whole array is returned as `name`.
     pub fn fields(&self, name: &str) -> Vec<NamedArray> {
         let fields = self.members.iter().map(|member| NamedArray {
             name: if member.name.is_empty() { name.to_owned() } else { member.name.clone() },

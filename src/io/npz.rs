@@ -1,9 +1,10 @@
 //! Reads NumPy's .npz: a zip archive of .npy arrays. Each array is a quantity, with one row per
 //! particle.
 //!
-//! Uncompressed arrays (`np.savez`) are read in place. If an array of the position, of an attribute
-//! or of the times is compressed (`np.savez_compressed`), all of these arrays are unpacked first,
-//! and none is read in place. In both cases, the reader verifies the checksums of these arrays.
+//! The reader needs the arrays of the position, of the attributes and of the times. If all of these
+//! arrays are uncompressed (`np.savez`), they are read in place. If any of them is compressed
+//! (`np.savez_compressed`), the reader first unpacks or copies all of them. In both cases, the
+//! reader verifies their checksums.
 
 use std::io::Read;
 

@@ -125,7 +125,8 @@ pub fn with_decimal(word: &[u8], decimal: Decimal) -> Option<f64> {
     f64::of(rewritten)
 }
 
-/// Whether a word consists of asterisks, which Fortran writes if a number exceeds its field.
+/// Whether a word consists of asterisks, which Fortran writes if a number does not fit in its
+/// field.
 pub fn is_overflow(word: &[u8]) -> bool {
     !word.is_empty() && word.iter().all(|&byte| byte == b'*')
 }
@@ -178,7 +179,8 @@ fn is_exponent(digits: &[u8]) -> bool {
     !digits.is_empty() && digits.iter().all(u8::is_ascii_digit)
 }
 
-/// Parses Fortran's exponents: D or Q instead of E, or no letter before a sign and three digits.
+/// Parses a number with a Fortran exponent. The exponent begins with D or Q instead of E, or
+/// consists of a sign and three digits without a letter.
 fn fortran(word: &[u8]) -> Option<f64> {
     let sign = usize::from(matches!(word.first(), Some(b'+' | b'-')));
     let at = sign + word[sign..].iter().position(|b| !b.is_ascii_digit() && *b != b'.')?;

@@ -1,5 +1,5 @@
-//! Wavefront .obj: text with one line for each vertex (`v`), normal (`vn`) and face (`f`). Vertices
-//! and normals are numbered from 1.
+//! Reads and writes Wavefront .obj, a text format with one line for each vertex (`v`), normal
+//! (`vn`) and face (`f`). Vertices and normals are numbered from 1.
 //!
 //! Many programs write and read a colour from 0 to 1 after a vertex's position. The format has no
 //! other attributes. A normal belongs to a corner of a face, not to a vertex. [`write_mesh`] gives

@@ -1,4 +1,5 @@
-//! Mesh files: the writer and reader of each format, and its limits.
+//! Reads and writes mesh files. Selects the writer and the reader of each format, and defines the
+//! limits of each format.
 
 use std::fmt;
 use std::io::{self, Write};
@@ -108,8 +109,8 @@ impl MeshFormat {
         }
     }
 
-    /// Sets the layout of a .glb, the up axis of a .usdc, and the compression of a .vdb; other
-    /// formats are unchanged.
+    /// Sets the layout of a .glb, the up axis of a .usdc, and the compression of a .vdb. Returns
+    /// other formats unchanged.
     #[must_use]
     pub fn with_layout(self, layout: glb::GlbLayout) -> Self {
         match self {
@@ -199,14 +200,15 @@ impl MeshFormat {
         match self {
             // For a large .vdb, the pieces between two parts are read twice, which is not counted.
             Self::Ply | Self::Obj | Self::Stl | Self::Vdb { .. } => 2,
-            // Reads the vertices for each array, up to twice for a colour, and the triangles once.
+            // Reads the vertices once for each array (up to twice for a colour), and the triangles
+            // once.
             Self::BgeoSc => arrays + 2,
-            // Reads the vertices for each array, and the triangles once.
+            // Reads the vertices once for each array, and the triangles once.
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf => arrays + 1,
             Self::Usdc(_) => usd::readings(mesh.has_normals(), &mesh.attributes()),
             // Reads vertices and triangles once more than other formats, to determine their order.
             Self::Glb(_) => 2 + arrays + 1,
-            // Reads everything twice: the vertices for each array, and the triangles.
+            // Reads the vertices twice for each array, and the triangles twice.
             Self::Abc(_) => 2 * (arrays + 1),
         }
     }
@@ -249,8 +251,8 @@ impl MeshFormat {
             Self::Stl => [u64::MAX, U32],
             Self::Vdb { .. } => [U32, U32 - 1],
             Self::Usdc(_) => [I32, u64::MAX / 3],
-            // Sizes in bytes have 63 bits. A triangle takes 16 bytes, and this limit lets triangles
-            // take half of the greatest size.
+            // Sizes in bytes have 63 bits. A triangle takes 16 bytes. With this limit, triangles
+            // take at most half of the greatest size.
             Self::Abc(_) => [I32, I64 / 32],
             // A file takes at most 4 GiB. Positions take 12 bytes per vertex, and indices 12 bytes
             // per triangle.
@@ -266,8 +268,8 @@ impl MeshFormat {
     /// Checks that the format can store `vertices` vertices and `triangles` triangles.
     ///
     /// # Errors
-    /// [`io::ErrorKind::InvalidInput`] if it cannot. The message states the limit, and lists the
-    /// formats that can store the mesh.
+    /// [`io::ErrorKind::InvalidInput`] if the format cannot store them. The message states the
+    /// limit, and lists the formats that can store the mesh.
     pub fn check_counts(self, vertices: u64, triangles: u64) -> io::Result<()> {
         if self.can_store_counts(vertices, triangles) {
             return Ok(());
@@ -373,7 +375,7 @@ pub fn mesh_format(path: &Path) -> Option<MeshFormat> {
     MeshFormat::of(Path::new(plain_name(&name)))
 }
 
-/// An opened mesh: in memory, or streamed from its file.
+/// An opened mesh, which is either in memory or streamed from its file.
 pub enum OpenedMesh {
     /// The whole mesh in memory.
     Whole(Mesh),

@@ -56,7 +56,7 @@ pub struct PieceChunk {
     pub count: usize,
 }
 
-/// A range of consecutive rows of one piece, all of them particles.
+/// A range of consecutive rows of one piece, without ghosts.
 #[derive(Debug, Clone, Copy)]
 struct Span {
     /// The index of the span's first particle among the particles of all pieces.
@@ -278,9 +278,9 @@ impl Pieces {
 /// without particles.
 ///
 /// If the files have different spacings, like the zones of a simulation with variable resolution,
-/// each particle gets the spacing of its file as the attribute `spacing`. This also happens if
-/// `wanted` selects only some of the files. In both cases, particles get this attribute only if
-/// every file with particles has a spacing.
+/// each particle gets the spacing of its file as the attribute `spacing`. Each particle also gets
+/// this attribute if `wanted` selects only some of the files. In both cases, the attribute is added
+/// only if every file with particles has a spacing.
 ///
 /// # Errors
 /// The number of the first file that cannot be joined with the files before it, and the reason.

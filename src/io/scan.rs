@@ -14,7 +14,7 @@ const SHORT_LINE: usize = 1 << 8;
 /// Number of bytes after which the memory of the scanned bytes is released.
 const RELEASE_STEP: usize = 1 << 20;
 
-/// The length of the byte order mark of UTF-8 at the start of `bytes`: 0 if there is none.
+/// The length of the UTF-8 byte order mark at the start of `bytes`. 0 if there is no mark.
 pub fn mark_length(bytes: &[u8]) -> usize {
     const MARK: &[u8] = b"\xef\xbb\xbf";
     if bytes.starts_with(MARK) { MARK.len() } else { 0 }

@@ -121,8 +121,8 @@ fn walls_of(lo: [f64; 3], size: [f64; 3]) -> Option<Walls> {
     is_box.then(|| Walls([0, 1, 2].map(ends)))
 }
 
-/// A flag of a body: a boolean, or a number, which is false if it is 0. A missing flag is false.
-/// `None` for other values.
+/// A flag of a body, which is a boolean or a number. The number 0 means false. A missing flag is
+/// false. `None` for other values.
 fn flag(value: &serde_json::Value) -> Option<bool> {
     match value {
         serde_json::Value::Null => Some(false),
@@ -132,9 +132,9 @@ fn flag(value: &serde_json::Value) -> Option<bool> {
     }
 }
 
-/// Reads a scene of SPlisHSPlasH. The spacing is twice `Configuration.particleRadius`, and the tank
-/// is the body that is a wall. The tank is `None` unless exactly one body is a wall, and this wall
-/// is a box that is neither rotated nor moving.
+/// Reads a scene of SPlisHSPlasH. The spacing is twice `Configuration.particleRadius`. If exactly
+/// one body is a wall, and this wall is a box that is neither rotated nor moving, this wall is the
+/// tank. Otherwise, the tank is `None`.
 fn splishsplash(json: &[u8]) -> Option<SceneFacts> {
     #[derive(Deserialize)]
     #[serde(rename_all = "PascalCase")]

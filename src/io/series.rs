@@ -8,7 +8,7 @@
 //! | all | `pool.vtp.json`: each frame's file, time, counts and box |
 //! | .vtp, .pvtp | `pool.pvd` and `pool.vtp.series` for ParaView |
 //! | .vtk, .vtkhdf, .ply, .stl | `pool.vtk.series` and the like for ParaView |
-//! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, which declares their attributes |
+//! | .usdc | `pool.usda`, a stage of value clips, and `pool.manifest.usda`, which declares the attributes of the clips |
 //!
 //! The times are the inputs' times in seconds, if these are strictly increasing. Otherwise, they
 //! are the frame numbers divided by the frame rate. Without a frame rate, they are the frame
@@ -92,7 +92,7 @@ struct ListedFile {
     file: String,
 }
 
-/// The end of the name of a .json list.
+/// Suffix of the name of a .json list.
 const LIST: &str = ".json";
 /// Maximum size, in bytes, of a .json list that is read. It allows about 200,000 frames.
 const LARGEST_LISTING: u64 = 64 << 20;
@@ -204,7 +204,7 @@ impl Series {
         Timeline::of(frames, self.fps).frames.into_iter().map(|frame| frame.seconds).collect()
     }
 
-    /// The reason why the lists ignore the times of `frames`; `None` if the lists use the times, or
+    /// The reason why the lists ignore the times of `frames`. `None` if the lists use the times, or
     /// if the frames have no times. The frames must be sorted by number.
     #[must_use]
     pub fn unused_times(&self, frames: &[SeriesFrame]) -> Option<UnusedTimes> {

@@ -1,9 +1,9 @@
-//! .stl: independent triangles with the coordinates of their corners. Binary files are written, and
-//! binary and text files are read.
+//! Reads and writes .stl, which stores independent triangles with the coordinates of their corners.
+//! The writer writes binary files. The reader reads binary and text files.
 //!
 //! The format has no shared vertices, so the reader merges corners with exactly equal coordinates.
 //! No other part of the library identifies vertices by position. If a mesh touches itself at a
-//! vertex, the reader joins the mesh there. Binary coordinates are f32, and there are no
+//! vertex, the reader joins the mesh there. Binary coordinates are f32. The format has no
 //! attributes.
 //!
 //! The writer keeps the positions of all vertices in memory, 24 bytes each, unless the mesh itself
@@ -40,7 +40,7 @@ const RECORD: usize = 50;
 ///
 /// # Errors
 /// The errors of `mesh` and `out`, and [`io::ErrorKind::OutOfMemory`] if the positions do not fit
-/// in memory. The latter occurs before anything is written.
+/// in memory. If they do not fit, nothing is written.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

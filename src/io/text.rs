@@ -184,7 +184,8 @@ pub(super) struct LinePlace {
 /// Reads the lines of a text sequentially, in windows.
 pub(super) struct TextLines<'a> {
     view: ByteView<'a>,
-    /// The end of the text, without the whitespace at its end (at most `LONGEST_LINE` bytes of it).
+    /// The end of the text without trailing whitespace. At most the last `LONGEST_LINE` bytes of
+    /// the text are checked for whitespace.
     end: usize,
     at: usize,
     /// Number of lines above the position.

@@ -7,8 +7,9 @@
 //! | XYZ | a first line that contains only the number of particles | its frames, numbered from 0 |
 //! | table | anything else | one |
 //!
-//! If the caller names a format, no other format is detected, except that XYZ may turn out to be a
-//! table or raw numbers. UTF-16 with a byte order mark is decoded first.
+//! If the caller names a format, the reader uses this format. As an exception, a file that the
+//! caller names as XYZ may turn out to be a table or raw numbers. UTF-16 with a byte order mark is
+//! decoded first.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -151,7 +152,8 @@ impl Frames {
     }
 
     /// The start of frame number `step`. Without `step`, the text must have a single frame. If the
-    /// text has an invalid line, only frames above this line are found, and only by their numbers.
+    /// text has an invalid line, only frames above this line can be found, and only by their
+    /// numbers.
     ///
     /// If several frames have this number, finds the last one, because a simulator that restarts
     /// from an earlier step appends the repeated steps to the file.

@@ -214,7 +214,7 @@ fn time_codes(times: &[f64], codes_per_second: f64) -> Vec<f64> {
 /// whole number, or a whole number divided by 1.001.
 ///
 /// Times are evenly spaced if they are proportional to the frame numbers, or if their differences
-/// are multiples of the smallest difference. Therefore, frames may be missing. If at least
+/// are multiples of the smallest difference. Therefore, some frames may be missing. If at least
 /// [`MIN_REGULAR_FRAMES`] frames precede the last frame, its time may be irregular.
 fn implied_rate(times: &[f64], numbers: &[i64]) -> Option<f64> {
     let before_last =

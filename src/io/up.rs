@@ -1,9 +1,9 @@
 //! Records which axis points up, in the comment or title of a file whose format cannot store the
 //! axis.
 //!
-//! Only z is recorded. Without a record, y points up, as most programs expect. `.ply`, `.obj`,
-//! `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles. For all formats, the .json list of a
-//! simulation's frames also records the axis.
+//! The comment is written only if z points up. Without a record of the axis, y points up, as most
+//! programs expect. `.ply`, `.obj`, `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles. For
+//! all formats, the .json list of a simulation's frames also records the axis.
 
 use std::fs::File;
 use std::io::Read;
@@ -28,8 +28,8 @@ pub(super) fn noted(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String
     note(mesh).map_or(String::new(), |note| format!("{before}{note}{after}"))
 }
 
-/// The up axis that a mesh's file, or else a list next to it, records. `None` if neither records
-/// it.
+/// The up axis that is recorded in a mesh's file or, if not there, in a list next to the file.
+/// `None` if neither the file nor a list records the axis.
 #[must_use]
 pub fn recorded_up(mesh: &Path) -> Option<UpAxis> {
     let noted = || {
@@ -38,6 +38,6 @@ pub fn recorded_up(mesh: &Path) -> Option<UpAxis> {
         let mut places = begins.windows(NOTE.len());
         places.any(|place| place == NOTE.as_bytes()).then_some(UpAxis::Z)
     };
-    // Reading a pipe would consume its data.
+    // Read only regular files, because reading a pipe would consume its data.
     mesh.is_file().then(|| noted().or_else(|| series::listed_up(mesh))).flatten()
 }

@@ -34,8 +34,8 @@ impl FileVertices {
         let normals = self.normals.map(|index| self.attributes[index].0.name.clone());
         let store: ColumnStore<&[u8]> =
             ColumnStore::new(bytes, ParticleRows::All(self.count), self.position, self.attributes);
-        // The index of the normals may have changed, because the store has no attributes that
-        // repeat the name of an earlier one.
+        // The index of the normals may have changed, because the store leaves out an attribute
+        // with the same name as an earlier attribute.
         let normals = normals.and_then(|name| normals_called(&name, &store));
         make_mesh(&store, normals, triangles)
     }

@@ -1,5 +1,5 @@
-//! Writes meshes as VTKHDF, a layout of HDF5: PolyData with one partition. Every data set is
-//! contiguous.
+//! Writes meshes as VTKHDF, a layout of HDF5. A mesh is stored as PolyData with one partition.
+//! Every data set is contiguous.
 //!
 //! All sizes are known in advance, so the file is written sequentially. It consists of the
 //! superblock (version 0), the headers of all groups and data sets (version 1, with the links in
@@ -54,8 +54,8 @@ enum DatasetContent {
     /// Integers that the file stores as i64.
     Counts(Vec<u64>),
     Array(Array<'static>),
-    /// An array of offsets: 0, and then the end of each triangle's corners in the array of all
-    /// corners.
+    /// An array of offsets. The first offset is 0. Each further offset is the end of a triangle's
+    /// corners in the array of all corners.
     Ends(Array<'static>),
 }
 
@@ -167,7 +167,8 @@ impl Node {
                     0x08,
                     &[&[3, 1], &address.to_le_bytes()[..], &bytes.to_le_bytes()].concat(),
                 );
-                // As in VTK's files, this attribute makes an array the active one of its kind.
+                // As in VTK's files, this attribute makes the array the active array of its kind,
+                // such as the active normals.
                 let role = role.map(|role| HdfAttribute::Text("Attribute", role));
                 role.iter().for_each(|role| messages.add(0x0c, &role.encoded()));
             }

@@ -40,7 +40,7 @@ pub struct WholeFile {
 
 #[derive(Debug)]
 enum WriteTarget {
-    /// A temporary file in the folder of `place`. Writing ends by renaming it to `place`.
+    /// A temporary file in the folder of `place`. A complete file is renamed to `place`.
     Temporary { file: NamedTempFile, place: PathBuf, replace: Replace },
     /// An existing pipe or device, which is written directly.
     Direct,
@@ -134,7 +134,7 @@ impl WholeFile {
             WriteTarget::Direct => {
                 let open = OpenOptions::new().write(true).open(&self.path);
                 match open.and_then(|mut file| counted(&mut file, crc, content)) {
-                    // A reader that closes a pipe early is not an error.
+                    // If the reader of a pipe closes the pipe early, this is not an error.
                     Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok((0, None)),
                     outcome => outcome,
                 }
@@ -289,7 +289,7 @@ fn belongs_to(folder: &Path) -> Option<PathBuf> {
     file.ends_with(SUFFIX).then(|| folder.with_file_name(file))
 }
 
-/// Looks up the file at `path`, following links; `None` if it does not exist.
+/// Looks up the file at `path`, following links. `None` if the file does not exist.
 fn metadata(path: &Path) -> io::Result<Option<fs::Metadata>> {
     match path.metadata() {
         Ok(metadata) => Ok(Some(metadata)),

@@ -1,10 +1,10 @@
-//! Reads the bytes of columns piece by piece; a piece is called a window. The bytes are in memory,
+//! Reads the bytes of columns piece by piece. A piece is called a window. The bytes are in memory,
 //! in a mapped scratch file, or in the input file.
 //!
 //! An input file is never mapped, because a signal would end the process if another program
 //! shortened the mapped file. Instead, byte ranges of the file are read into buffers, a few per
-//! thread. If the file was shortened, the read fails, and only this frame has an error. All files
-//! of an input share their buffers.
+//! thread. If the file was shortened, the read fails, and only the current frame has an error. All
+//! files of an input share their buffers.
 
 use std::fmt::Debug;
 use std::ops::Range;
@@ -20,8 +20,9 @@ use super::bytes::{Bytes, PrivateBytes};
 const LARGE: usize = 1 << 18;
 /// Number of bytes per read at other positions.
 const SMALL: usize = 1 << 14;
-/// Minimum number of bytes to request ahead of a thread's position. For each request, the system
-/// searches its cache, so the bytes of one request are not requested again by the next.
+/// Minimum number of bytes to request ahead of a thread's position. The system searches its cache
+/// for all bytes of a request, so a request starts at the end of the previous request and does not
+/// repeat its bytes.
 const AHEAD: usize = 1 << 22;
 
 /// A source of bytes that is accessed in windows.

@@ -62,7 +62,7 @@ fn are_f64(raw: &[u8]) -> bool {
     wide.into_iter().all(is_length) && far * 8 > raw.len() / size_of::<f32>()
 }
 
-/// A frame of a file in text.
+/// A frame of a text file.
 struct XyzFrame {
     /// The number of particles that the frame announces.
     count: u64,

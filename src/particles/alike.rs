@@ -10,8 +10,8 @@ use super::{AttributeInfo, AttributeKind, Label, Particles, RereadError, carried
 /// Particles whose attributes have the types that all frames of a simulation share. Programs that
 /// play the frames expect one type for each attribute.
 ///
-/// Integers become floating-point numbers, or the reverse if all values are whole. A colour loses
-/// its alpha, or gets an alpha that means opaque.
+/// Integers become floating-point numbers, or floating-point numbers become integers if all values
+/// are whole. A colour loses its alpha, or gets an alpha that means opaque.
 #[derive(Debug)]
 pub struct AlikeParticles<'a> {
     particles: &'a dyn Particles,

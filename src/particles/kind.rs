@@ -120,7 +120,7 @@ pub struct SettledKind {
 
 impl SettledKind {
     /// Whether the values of another frame, which have the kind `found`, determine the kind of this
-    /// attribute, although its own values do not.
+    /// attribute, although the values of its own frame do not.
     fn is_determined_by(&self, found: &Self) -> bool {
         let (own, other) = (&self.stored, &found.stored);
         let is_float = own.kind.is_whole() && found.kind == AttributeKind::Number;
@@ -130,7 +130,8 @@ impl SettledKind {
 }
 
 /// Updates `kinds`, which come from one frame, with `found`, the kinds from another frame. A kind
-/// is replaced if the values of the other frame determine it, but those of its own frame do not.
+/// is replaced if the values of the other frame determine it and the values of its own frame do
+/// not.
 pub fn determine(kinds: &mut [SettledKind], found: Vec<SettledKind>) {
     for found in found {
         if let Some(known) = kinds.iter_mut().find(|known| known.is_determined_by(&found)) {
@@ -315,10 +316,10 @@ pub fn colour_attribute(attributes: &[AttributeInfo]) -> Option<usize> {
 /// Colours get a scale:
 ///
 /// - Floating-point colours are from 0 to 255 if their values are too large for fractions.
-/// - Unsigned 16-bit integers are from 0 to 65535 if a value exceeds 255, and else from 0 to 255.
-/// - Other integers are colours from 0 to 255 if all values are in this range, and else numbers.
+/// - Unsigned 16-bit integers are from 0 to 65535 if a value exceeds 255, otherwise from 0 to 255.
+/// - Other integers are colours from 0 to 255 if all values are in this range, otherwise numbers.
 ///
-/// An attribute that is stored as in `known` keeps its known kind.
+/// If `known` contains an attribute with the same stored description, its known kind is used.
 ///
 /// # Errors
 /// [`KindFault`] for values that do not fit their kind.

@@ -17,15 +17,16 @@ use rayon::prelude::*;
 
 use crate::particles::Particles;
 
-/// Lattices with up to this many particles per cell along an axis are tried.
+/// Maximum number of lattice steps per cell edge. Lattices with smaller steps are not tried.
 const DIVISIONS: u32 = 4;
 /// Number of places into which a lattice step is divided. Positions are rounded to places.
 const PLACES: usize = 256;
 /// The place with theta = 0.445 for one particle per cell. Along each axis, it is 0.277 of a step
 /// away from the middle.
 const TARGET_PLACE: f64 = 57.0;
-/// Positions on a circle count as equal if the length of their mean unit vector exceeds this.
-/// Jitter with a standard deviation of 0.19 steps gives a length of 0.5.
+/// Each position within a lattice step is mapped to an angle. Positions count as equal if the mean
+/// of their unit vectors is longer than this. Jitter with a standard deviation of 0.19 steps gives
+/// a length of 0.5.
 const COHERENT: f64 = 0.5;
 /// Scale of the integer cosines. Integer sums do not depend on order or threads.
 const COSINE_SCALE: f64 = 32768.0;

@@ -1,5 +1,5 @@
-//! Finds boundary particles among the particles of a fluid, by an attribute that distinguishes the
-//! two.
+//! Finds boundary particles among the particles of a fluid, by an attribute that distinguishes
+//! boundary and fluid.
 
 use std::cmp::Reverse;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -72,9 +72,9 @@ const FILLED: f64 = 0.5;
 /// sides, and thus be inside the fluid.
 const LEAST_CELLS: i32 = 3;
 /// Maximum number of boundary particles in the bounding box of a fluid that has fewer than
-/// [`LEAST_CELLS`] cells along each axis, as a multiple of the number of fluid particles. If the
-/// supposed fluid is a few tracers in a fluid, their bounding box contains many more of the
-/// supposed boundary particles.
+/// [`LEAST_CELLS`] cells along each axis, as a multiple of the number of fluid particles. This
+/// limit rejects a few tracers in a fluid: if the tracers are taken for the fluid, and the fluid
+/// for the boundary, the bounding box of the tracers contains many more boundary particles.
 const MOST_BOUNDARY_PER_FLUID: f64 = 0.5;
 
 /// Whether the name of an attribute suggests materials.

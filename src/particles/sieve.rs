@@ -57,7 +57,8 @@ impl Sieve {
         Some(at * WORD + WORD - 1 - word.leading_zeros() as usize)
     }
 
-    /// The selected rows whose numbers, counted among the selected rows, are selected in `inner`.
+    /// Returns the selected rows that `inner` also selects. Row i of `inner` stands for selected
+    /// row number i of this sieve.
     pub fn within(&self, inner: &Self) -> Self {
         let mut words = vec![0; self.words.len()];
         let rows = self.rows(0).enumerate().filter(|(number, _)| inner.holds(*number));
@@ -65,8 +66,8 @@ impl Sieve {
         Self::new(words)
     }
 
-    /// The smallest range of rows that contains the selected rows whose numbers, counted among the
-    /// selected rows, are in `selected`.
+    /// The smallest range of rows that contains the selected rows with the numbers `selected`.
+    /// Selected rows are numbered from 0, in order.
     pub fn around(&self, selected: Range<usize>) -> Range<usize> {
         let row = |number| self.rows(number).next();
         match (row(selected.start), selected.end.checked_sub(1).and_then(row)) {

@@ -393,9 +393,9 @@ impl Sizes {
         })
     }
 
-    /// Measures the density again if it could not be measured before, as happens if the cells were
-    /// derived from wrong sizes. The new cells are derived from `spacing`, the largest spacing of
-    /// the particles according to their neighbours.
+    /// Measures the density again if it could not be measured before, for example because the cells
+    /// were derived from wrong sizes. The new cells are derived from `spacing`, the largest spacing
+    /// of the particles according to their neighbours.
     pub fn scale_by_spacing(
         &mut self,
         particles: &dyn Particles,
@@ -409,9 +409,10 @@ impl Sizes {
         }
     }
 
-    /// Reduces the sizes if the density could not be measured before, but is too high if measured
-    /// in cells half as large. The cells are derived from `spacing`, the largest spacing of the
-    /// particles. A low density proves nothing in such cells, because they can be partly empty.
+    /// If the density could not be measured before, measures it in cells half as large, and reduces
+    /// the sizes if the density is too high. The cells are derived from `spacing`, the largest
+    /// spacing of the particles. A low density proves nothing in such cells, because they can be
+    /// partly empty.
     pub fn reduce_if_too_dense(
         &mut self,
         particles: &dyn Particles,

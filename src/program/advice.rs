@@ -129,7 +129,7 @@ fn advice(error: &Error) -> String {
             ..
         }) => "; --together makes one surface from the particles of all simulations",
         Error::Simulation(SimulationError::State { .. }) => "; use --overwrite to start again",
-        // If `differing` begins with this text, it names no setting: only the input has changed.
+        // If `differing` begins with this text, only the input has changed, and no setting has.
         Error::Simulation(SimulationError::Settings { differing, .. })
             if differing.starts_with("the input of frame") =>
         {
@@ -272,13 +272,13 @@ fn shell_word(text: &str) -> String {
     format!("'{}'", text.replace('\'', r"'\''"))
 }
 
-/// The option to suggest if particles are outside the surface. `smoothed` is true for
-/// all indicators except cloud.
+/// The option to suggest if particles are outside the surface. `smoothed` is true for all
+/// indicators except cloud.
 fn on_lost_particles(smoothed: bool) -> &'static str {
     if smoothed { "--indicator cloud" } else { "--cell" }
 }
 
-/// The message about attributes none of which is a velocity, with advice.
+/// The message, with advice, that none of the particles' attributes is recognised as a velocity.
 pub fn no_velocity_message(found: &NoVelocity) -> String {
     format!("{found}; to transfer attributes to the mesh, use --attributes")
 }

@@ -1,5 +1,5 @@
-//! Tips for users who type an option of another program: each tip names the option with the same
-//! effect.
+//! Tips for users who type an option of another program. Each tip names the option of this program
+//! with the same effect.
 
 use clap::Command;
 use clap::error::{ContextKind, ContextValue, Error, ErrorKind};

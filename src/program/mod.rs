@@ -47,7 +47,7 @@ pub fn run(arguments: impl IntoIterator<Item = OsString>) -> u8 {
             code(process::on_all_cores(|| execute(command)), say_error)
         }
         Err(error) => {
-            // A failure to print is ignored: if the pipe is closed, nobody reads an error message.
+            // Ignore a failure to print. If the pipe is closed, nobody reads an error message.
             let _ = error.print();
             error.exit_code() as u8
         }

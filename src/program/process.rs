@@ -15,8 +15,8 @@ pub fn set_up() {
     ignore_sigxfsz();
 }
 
-/// Runs `work` on a thread with a stack of `STACK` bytes, whatever the stack limit of the process
-/// (`ulimit -s`) is. Falls back to the current thread if the system cannot start another one.
+/// Runs `work` on a thread with a stack of `STACK` bytes, independent of the stack limit of the
+/// process (`ulimit -s`). Falls back to the current thread if the system cannot start another one.
 pub fn on_own_stack<T: Send + 'static>(work: impl FnOnce() -> T + Clone + Send + 'static) -> T {
     match thread::Builder::new().stack_size(STACK).spawn(work.clone()) {
         Ok(worker) => worker.join().unwrap_or_else(|panic| resume_unwind(panic)),

@@ -21,11 +21,11 @@ pub fn counted(number: u64, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
 
-/// The maximum number of types whose names are listed.
+/// The maximum number of unread particle types that a message names.
 const MOST_TYPES: usize = 12;
 
-/// Describes which of the particle types in a file was read, which is the first, and which were
-/// not. `None` if the file has no other types.
+/// Names the particle type that was read from a file, which is the first of `types`, and the types
+/// that were not read. Returns `None` if the file has fewer than two types.
 pub fn type_read(types: &[String]) -> Option<String> {
     match types {
         [] | [_] => None,
@@ -43,7 +43,8 @@ pub fn contents(particles: usize, format: &str, types: &[String]) -> String {
     format!("{}, {format}{read}", counted(particles as u64, "particle"))
 }
 
-/// Prints the number of particles in the opened inputs, what was left out, and the chosen cells.
+/// Prints the number of particles in the opened inputs, which particles and parts were left out,
+/// and the chosen cells.
 pub fn report_opened(inputs: &[PathBuf], opened: &OpenedFrame, notes: &Notes) {
     let names: Vec<_> = inputs.iter().map(|input| input.display().to_string()).collect();
     let contents = contents(opened.particles(), opened.format(), opened.particle_types());
@@ -201,7 +202,7 @@ pub fn too_small(drops: u64, particles: u32) -> String {
 }
 
 /// Prints a device's submissions, new buffers and transferred bytes, and its time for each stage.
-/// All are averages per frame.
+/// All numbers are averages per frame.
 pub fn report_device(device: Option<&Device>, frames: usize, notes: &Notes) {
     let Some(device) = device else { return };
     let Counters { submissions, allocations, sent, received } = device.take_counters();
@@ -226,9 +227,10 @@ pub fn report_stages(timings: &Timings, notes: &Notes) {
     }
 }
 
-/// Prints the warnings about a surface, with advice. Skips warnings about the spacing, because they
-/// were printed when the spacing was chosen. The exception is the warning that particles contradict
-/// the spacing of a packed frame, which is printed here.
+/// Prints the warnings about a surface, with advice. Skips warnings about the spacing and about
+/// unread parts of the input, because the program printed these warnings when it opened the input
+/// or planned the parts. The exception is the warning that particles contradict the spacing of a
+/// packed frame, which is printed here.
 pub fn warn_all(warnings: &[Warning], options: Option<&ReconstructOptions>, notes: &Notes) {
     let was_printed = |warning: &&Warning| match warning {
         Warning::Spacing(SpacingWarning::Contradicted { source, .. }) => {

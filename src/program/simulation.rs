@@ -66,8 +66,8 @@ pub fn run(options: &ReconstructOptions, simulation: Simulation) -> Result<Verdi
         return Ok(listener.verdict());
     }
     let converted = simulation.run(on_event);
-    // If the statistics could not be written, the listener has cancelled the conversion, and this
-    // is the error to report.
+    // If the statistics could not be written, the listener has cancelled the conversion. Report the
+    // error of the statistics instead of the cancellation.
     if let Some(error) = listener.stats_error.take() {
         return Err(error);
     }
@@ -86,10 +86,12 @@ struct Listener<'a> {
     notes: Notes,
     /// Bars of the current simulation, with the notes that are printed above them.
     bars: Option<(ProgressBars, Notes)>,
-    /// Descriptions of the particle types that frames have, each of which is printed once.
+    /// Descriptions of particle types that were already printed, so that each description is
+    /// printed only once.
     types: BTreeSet<String>,
     /// Warnings that usually concern all frames, each with the number of frames that have it. The
-    /// key is the warning or, if it differs from frame to frame, the name of the attribute.
+    /// key is the text of the warning or, if the text can differ from frame to frame, the name of
+    /// the attribute.
     repeated: BTreeMap<String, (String, usize)>,
     /// The first error while writing the statistics.
     stats_error: Option<Error>,

@@ -63,8 +63,8 @@ impl Settings {
     }
 
     /// Indices of the attributes that go to the vertices. By default, this is the velocity, if
-    /// there is one and the format can store it. If there are no particles, an attribute may be
-    /// missing, because some formats then store no attributes.
+    /// there is one and the format can store it. If there are no particles, a missing attribute is
+    /// not an error, because some input formats store no attributes without particles.
     pub(crate) fn carried(
         &self,
         particles: &dyn Particles,

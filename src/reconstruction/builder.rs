@@ -185,7 +185,7 @@ impl Reconstruction {
     }
 
     /// Sets the isovalue, between 0 and 1, for counting, symmetry and the kernel methods. By
-    /// default, it is measured; for kernel methods, it is 0.5.
+    /// default, the isovalue is measured for counting and symmetry, and is 0.5 for kernel methods.
     pub fn iso(mut self, value: f64) -> Self {
         self.settings.iso = Some(Iso::Value(value));
         self
@@ -245,7 +245,7 @@ impl Reconstruction {
         self
     }
 
-    /// Runs on the caller's thread pool instead of its own threads.
+    /// Runs on the caller's thread pool instead of starting threads.
     ///
     /// ```
     /// use std::sync::Arc;
@@ -328,7 +328,8 @@ macro_rules! setters {
 setters! {
     /// Sets the origin of the grid, which is a corner of a cell.
     origin: [f64; 3],
-    /// Sets how the mesh ends at the faces of a periodic box. By default, it ends on the faces.
+    /// Sets how the mesh ends at the faces of a periodic box. By default, the mesh ends on the
+    /// faces.
     periodic_mesh: PeriodicMesh,
     /// Sets the indicator. The default is cloud; counting and symmetry are from the paper.
     indicator: IndicatorKind,

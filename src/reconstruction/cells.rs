@@ -95,13 +95,14 @@ pub struct FoundWalls {
     pub spacings: Option<[[f64; 2]; 3]>,
 }
 
-/// Distances, in spacings, between the end of the fluid and a wall at which the surface is ragged:
-/// the fluid is too far from the wall to reach it, and too near to have a surface of its own.
+/// Distances, in spacings, between the end of the fluid and a wall that make the surface at the
+/// wall ragged. At these distances, the fluid is too far from the wall to reach it, and too near to
+/// have a surface of its own.
 const RAGGED: Range<f64> = 0.35..1.0;
 
 impl FoundWalls {
-    /// The given walls that the fluid almost reaches. `spacing` is the spacing at every side for
-    /// which no other spacing is known.
+    /// The sides of `walls` that the fluid almost reaches. `spacing` is used at every side if
+    /// `self.spacings` is `None`.
     pub(super) fn gaps(&self, walls: [DVec3; 2], spacing: f64) -> Vec<GapAtWall> {
         let gap = |axis: usize, side: usize| {
             let (end, wall) = (self.walls.0[axis][side]?, walls[side][axis]);

@@ -104,8 +104,7 @@ pub struct FrameInfo {
     pub file: PathBuf,
     /// The number of particles in the frame.
     pub particles: usize,
-    /// The number of full cells. Cells that are full only because of particles in other bins do not
-    /// count.
+    /// The number of cells that are full because of particles in their own bin.
     pub cells: u64,
     /// The number of stored bricks.
     pub bricks: u64,
@@ -287,7 +286,8 @@ fn geometry(
     })
 }
 
-/// The particles of a file. For a Houdini geometry without particles, its primitives and points.
+/// Summarizes the particles of a file or, for a Houdini geometry without particles, its primitives
+/// and points.
 fn particles(path: &Path, settings: &Settings) -> Result<Info, Error> {
     let scratch = std::env::temp_dir();
     let unpacking =

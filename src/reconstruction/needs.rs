@@ -74,8 +74,9 @@ struct TrialResult {
 }
 
 impl OpenedFrame {
-    /// Counts the particles, and estimates what their surface needs; `None` for a packed frame. To
-    /// measure the time, it samples and meshes a part of the frame.
+    /// Counts the particles, and estimates the resources that their surface needs; `None` for a
+    /// packed frame. To measure the time, samples and meshes a part of the frame, or the whole
+    /// frame if it is small.
     ///
     /// # Errors
     /// [`Error::Frame`] for invalid particles, or too little memory, and [`Error::Cancelled`].

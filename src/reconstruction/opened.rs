@@ -95,8 +95,9 @@ impl StartedRequest {
 }
 
 impl CheckedRequest {
-    /// Returns the request, with a search for walls unless it has a periodic box. If the request
-    /// sets a domain, the found walls show whether the fluid reaches the walls of the domain.
+    /// Returns the request, with [`WallSearch::Hint`] if it does not search for walls and has no
+    /// periodic box. If the request sets a domain, the found walls show whether the fluid reaches
+    /// the walls of the domain.
     fn with_wall_search(&self) -> Cow<'_, Self> {
         let request = &self.sampling;
         if request.search != WallSearch::Never || request.periodic.is_some() {

@@ -51,8 +51,7 @@ pub struct PackedOutput {
 pub struct PackReport {
     /// The file's size, in bytes.
     pub bytes: u64,
-    /// The number of full cells. Cells that are full only because of particles in other bins do not
-    /// count.
+    /// The number of cells that are full because of particles in their own bin.
     pub cells: u64,
     /// The number of stored bricks.
     pub bricks: u64,

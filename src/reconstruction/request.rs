@@ -118,9 +118,9 @@ fn usual_spacing(cell_size: f64) -> f64 {
     2.0 * cell_size
 }
 
-/// Corrects sizes that the density of the fluid did not confirm, if the neighbours of particles
-/// contradict the sizes, or if the sizes are impossible. Returns a warning if the sizes cannot be
-/// corrected.
+/// Corrects sizes that the density of the fluid did not confirm, if the fluid is implausibly dense
+/// for these sizes, or if the neighbours of particles contradict the sizes. Returns a warning if
+/// the neighbours contradict the sizes and the sizes cannot be corrected.
 fn corrected_by_neighbours(
     particles: &dyn Particles,
     columns: &SizeAttributes,
@@ -402,11 +402,11 @@ impl SamplingRequest {
         Ok(Cells { sizes: Some(sizes), ..cells })
     }
 
-    /// Chooses the cells for particles. If there are more than [`ALL`] particles, it reads them
-    /// through the caller's `read`, which can do other work in the same reading. `read` receives
-    /// the expected cell size, and a function to which it must pass the positions of all particles.
-    /// It returns `None` on failure. The value that `read` returned last is returned with the
-    /// cells.
+    /// Chooses the cells for particles. If there are more than [`ALL`] particles, this function
+    /// reads them through the caller's `read`, which can do other work in the same reading. `read`
+    /// receives the expected cell size, and a function to which it must pass the positions of all
+    /// particles. `read` returns `None` on failure. The value that `read` returned last is returned
+    /// with the cells.
     fn cells_by<T>(
         &self,
         particles: &dyn Particles,
@@ -420,8 +420,8 @@ impl SamplingRequest {
         };
         let even = EvenSample::of(particles.len());
         if let Some((spacing, source)) = self.given(from) {
-            // A spacing from a scene file must be checked: the file may belong to other particles,
-            // and does not mention a second resolution.
+            // A spacing from a scene file must be checked, because the file may belong to other
+            // particles, and does not state a second spacing.
             let is_scene = matches!(source, SpacingSource::Scene(_));
             let in_cubes = CubeSample::new(Cubes::for_spacing(spacing), particles.len());
             let visit = |positions: &[[f64; 3]]| {
@@ -499,7 +499,8 @@ impl SamplingRequest {
             CellSize::Length(size) => size,
             CellSize::Spacings(ratio) => positive_length("cell-size", ratio * spacing)?,
         };
-        // If cells are wider than the slab, the slab may contain no cell's centre.
+        // A slab that is thinner than a cell may contain no cell centre, so there is no slab unless
+        // cells are smaller than its thickness, which is one spacing.
         let is_fine = size < 0.99 * spacing;
         let slab = plane.filter(|plane| is_fine && self.is_open(plane.axis));
         let slab = slab.map(|plane| Slab::around(plane, spacing));

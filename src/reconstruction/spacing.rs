@@ -138,9 +138,10 @@ pub enum SpacingWarning {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum SpacingMistake {
-    /// The radius of the particles was given: half the spacing.
+    /// The radius of the particles, which is half the spacing, was given as the spacing.
     Radius,
-    /// Twice the spacing was given: a support radius, or a spacing that was mistaken for a radius.
+    /// Twice the spacing was given, because the support radius was given as the spacing, or the
+    /// spacing was given as the radius.
     Double,
     /// The spacing is in another unit than the positions. The unit of the positions is this many
     /// times the unit of the spacing: 1000 if the spacing is in mm and the positions are in m.
@@ -233,8 +234,9 @@ impl SpacingWarning {
         warnings
     }
 
-    /// The warning about the spacing of a packed frame, from its samples. Samples overestimate the
-    /// spacing of thin fluid.
+    /// The warning about the spacing of a packed frame, from the spacing `found` that its samples
+    /// suggest. Samples overestimate the spacing of thin fluid, so there is no warning if `found`
+    /// is less than 1.75 times the given spacing.
     pub(super) fn of_packed(given: f64, found: f64) -> Option<Self> {
         const THIN: f64 = 1.75;
         let doubtful = !(1.0 / TOO_LARGE..THIN).contains(&(found / given));

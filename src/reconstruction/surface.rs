@@ -107,9 +107,9 @@ impl Surface {
         &self.extracted.report
     }
 
-    /// Draws a picture of the mesh with the up axis of its particles, on as many threads as made
-    /// the mesh. Unless the picture has its own memory limit, it uses at most half of the frame's
-    /// memory limit, because the mesh may use the other half.
+    /// Draws a picture of the mesh with the up axis of its particles, using as many threads as the
+    /// reconstruction. Unless the picture has its own memory limit, it uses at most half of the
+    /// frame's memory limit, because the mesh may use the other half.
     ///
     /// # Errors
     /// [`Error::Picture`] if the picture cannot be drawn, and [`Error::Threads`] if threads cannot

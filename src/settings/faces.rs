@@ -69,7 +69,7 @@ pub enum Tank {
 impl FromStr for Tank {
     type Err = String;
 
-    /// Reads `auto`, or six numbers, any of which may be `-` for an open side.
+    /// Reads `auto`, or six numbers. A `-` in place of a number means an open side.
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "auto" => Ok(Self::Auto),

@@ -1,12 +1,11 @@
-//! Values of settings as text or as numbers, for callers that have no other types: C, files and
-//! forms.
+//! Values of settings as text or as numbers, as callers in C pass them.
 
 use super::value::trimmed;
 use super::{Faces, Source, Where, faces};
 use crate::grid::Walls;
 
-/// The largest count that a caller may give as a 64-bit float, which represents all integers up to
-/// this one exactly.
+/// The largest count that a caller may give as a 64-bit float: 2^53. A 64-bit float represents all
+/// integers up to this count exactly.
 const LARGEST_COUNT: f64 = 9_007_199_254_740_992.0;
 
 /// Descriptions of the expected value, for the errors of both kinds of sources.

@@ -52,7 +52,7 @@ impl FromStr for Iso {
     }
 }
 
-/// A name from a list, without the blanks around it. This function never fails. It returns a
+/// Removes the whitespace around a name from a list. This function never fails. It returns a
 /// `Result` because the parser of the command line requires one.
 pub(super) fn trimmed(name: &str) -> Result<String, Infallible> {
     Ok(name.trim().to_owned())
@@ -76,8 +76,8 @@ impl OptionalSetting for bool {
     }
 }
 
-/// A value from a caller that has no Rust types. Each method that returns a `Result` fails for a
-/// value of another type.
+/// The value of a setting from a caller in another language, such as Python or C. Each method that
+/// returns a `Result` fails for a value of another type.
 #[allow(missing_docs, clippy::missing_errors_doc)]
 pub trait Source {
     type Error;

@@ -37,8 +37,8 @@ pub struct Simulation {
     pub(super) watch: Option<f64>,
     pub(super) fps: Option<f64>,
     pub(super) also_written: Vec<PathBuf>,
-    /// Whether this run only plans. A plan converts nothing, so meshes from earlier runs of this
-    /// simulation may exist.
+    /// Whether this run only makes a plan. A plan converts no frames, so existing meshes from
+    /// earlier runs of this simulation are not an error.
     pub(super) planned: bool,
     /// Whether a contact sheet will be drawn.
     pub(super) sheet: bool,
@@ -229,8 +229,8 @@ impl Simulation {
         }
         let inputs = match (Inputs::of(&self.inputs, format)?, &self.inputs[..]) {
             (Some(inputs), _) => inputs,
-            // A path that does not exist is a folder if it ends with a separator, or if it is
-            // watched and is not named like an input file.
+            // A path that does not exist counts as a folder if it ends with a separator, or if it
+            // is watched and does not have the extension of an input file.
             (None, [path])
                 if !path.exists()
                     && (self.watch.is_some() && !is_known(path)

@@ -100,7 +100,7 @@ impl Conversion<'_> {
         to_lanes: Sender<Job>,
         tally: &mut Tally,
     ) -> Result<(), Error> {
-        // Sending cannot fail: the lanes run as long as the channel is open.
+        // Sending cannot fail, because the lanes run as long as the channel is open.
         let send = |job: Job| drop(to_lanes.send(job));
         let mut jobs = todo.iter().map(|&frame| Job {
             frame: frame.clone(),
@@ -109,8 +109,8 @@ impl Conversion<'_> {
         });
         if self.settled.get().is_none() {
             // The first frame is most likely the calibration frame, so one lane stays free for it.
-            // The first frame is sent after the calibration. If it is the calibration frame, its
-            // file is already open and is sent with it.
+            // The first frame is sent after the calibration. If the first frame is the calibration
+            // frame, its open file is sent with it.
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames)?;
@@ -138,8 +138,8 @@ impl Conversion<'_> {
         {
             archive.forget()?;
         }
-        // If all frames must be made, the lanes open the first frames during the calibration.
-        // Otherwise, the calibration comes first.
+        // If the calibration is unknown and all frames must be made, the lanes open the first
+        // frames during the calibration. Otherwise, the calibration comes first.
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames)?;
@@ -327,8 +327,8 @@ impl Conversion<'_> {
     }
 
     /// Returns the request for a frame, with the frame's solids. The request reports the progress
-    /// of its lane at the start and end of each stage, and only rarely in between, because each
-    /// event wakes the caller's thread.
+    /// of its lane at the start and end of each stage, and at most once per [`PROGRESS_INTERVAL`]
+    /// in between, because each event wakes the caller's thread.
     fn checked_in(&self, lane: usize, frame: &FrameFile) -> Result<CheckedRequest, Error> {
         let FrameFile { number: frame, ref solids, .. } = *frame;
         let (events, mut checked) = (self.setup.events.clone(), self.setup.checked.clone());

@@ -286,13 +286,14 @@ pub struct Summary {
     pub chosen: Option<Gaps>,
     /// The requested first and last frame, if no files were found for them.
     pub unreached: Vec<UnreachedEnd>,
-    /// If the frames have times that the lists of frames do not use, the reason for this.
+    /// The reason why the lists of frames ignore the times of the frames. `None` if the lists use
+    /// the times, or if the frames have no times.
     pub unused_times: Option<UnusedTimes>,
     /// Number of existing meshes that stay in the lists although their frames are not among the
     /// inputs.
     pub without_input: usize,
-    /// Meshes of earlier runs that are still next to the new meshes, although they are not in the
-    /// lists: their frames failed in this run, or are not among the inputs.
+    /// Meshes of earlier runs that are still next to the new meshes, although the lists do not
+    /// contain them, because their frames failed in this run or are not among the inputs.
     pub stale: Vec<PathBuf>,
     /// Particles and drops that are left out of the surfaces.
     pub left_out: OmittedCounts,
@@ -454,7 +455,7 @@ pub(super) struct EventSender(SyncSender<Event>);
 
 impl EventSender {
     pub(super) fn send(&self, event: Event) {
-        // Sending fails only if the caller has panicked.
+        // Sending fails only if the caller has panicked, so the error is ignored.
         let _ = self.0.send(event);
     }
 }

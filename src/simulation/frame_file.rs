@@ -96,7 +96,7 @@ impl Selection {
         (self.start..=self.end).contains(&number)
     }
 
-    /// Returns the selected frames. Steps count from `start` if it is given, and otherwise from the
+    /// Returns the selected frames. The steps begin at `start` if it is given, and otherwise at the
     /// first of `frames`.
     pub fn of(self, frames: Vec<FrameFile>) -> Vec<FrameFile> {
         let is_given = self.start > i64::MIN;

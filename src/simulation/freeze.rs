@@ -99,9 +99,9 @@ impl Setup<'_> {
         Ok(Some(self.checked.sampling.walls_of(&ends, path)))
     }
 
-    /// Examines frames until one is suitable for the calibration. Returns that frame, or else the
-    /// best examined frame, with its measurements, and with its particles if its file is still
-    /// open.
+    /// Examines frames until one is suitable for the calibration. Returns this frame or, if no
+    /// frame is suitable, the best examined frame. Also returns the frame's measurements, and its
+    /// particles if its file is still open.
     fn measure_calibration_frame(
         &self,
         frames: &[FrameFile],
@@ -138,8 +138,9 @@ impl Setup<'_> {
                         return Ok((frame, found, file));
                     }
                     Ok((found, _)) => {
-                        // Particles of spray are farther apart than those of the bulk, so a spacing
-                        // estimated from spray is too large.
+                        // Of two equally trusted frames, the frame with the smaller spacing is
+                        // better. Particles of spray are farther apart than those of the bulk, so a
+                        // spacing estimated from spray is too large.
                         let is_better = |(_, known): &(FrameFile, MeasuredFrame)| {
                             known.trust < found.trust
                                 || known.trust == found.trust
@@ -263,8 +264,8 @@ impl Setup<'_> {
     }
 
     /// Measures a frame, to calibrate all frames on it. `lattice` is the calibration of an earlier
-    /// frame whose particles form a lattice. If it is given, its grid, mu0 and spacing are used for
-    /// this frame.
+    /// frame whose particles form a lattice. If `lattice` is given, its grid, mu0 and spacing are
+    /// used for this frame.
     fn measure_on(
         &self,
         frame: &FrameFile,

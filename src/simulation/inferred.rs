@@ -12,10 +12,10 @@ use super::pattern::{FrameCandidate, NumberKind, PIECE, Pattern, skeleton};
 ///
 /// Names that differ in more than their numbers belong to different simulations. In names that
 /// differ only in numbers, the number that varies is the frame number. In the name of a single
-/// file, it is the last number. If several numbers vary, and all of them except the last
-/// distinguish parallel simulations, the last one is the frame number. A number after a word such
-/// as `rank` or `proc` is the number of a piece if more than half of the frames have all pieces.
-/// Some decimal numbers are times: see [`times`].
+/// file, the last number is the frame number. If several numbers vary, and all of them except the
+/// last distinguish parallel simulations, the last one is the frame number. A number after a word
+/// such as `rank` or `proc` is the number of a piece if more than half of the frames have all
+/// pieces. Some decimal numbers are times: see [`times`].
 ///
 /// # Errors
 /// [`SimulationError::Names`] if several numbers could be the frame number.
@@ -108,8 +108,8 @@ fn times(files: &[&FrameCandidate]) -> Option<Pattern> {
         all(number).map(|text| text.split('.').next().unwrap_or(text)).collect();
     let fractions: BTreeSet<&str> =
         all(number).map(|text| text.split_once('.').map_or("", |(_, fraction)| fraction)).collect();
-    // Decimal numbers may end in 0 only if all of them have the same number of decimal places: in
-    // names with 0.9 and 0.10, the numbers are not decimal.
+    // If the numbers have different numbers of decimal places and one of them ends in 0, as in 0.9
+    // and 0.10, the digits after the dot are integers, and the numbers are not decimal.
     let lengths: BTreeSet<usize> = fractions.iter().map(|fraction| fraction.len()).collect();
     if lengths.len() > 1 && fractions.iter().any(|f| f.len() > 1 && f.ends_with('0')) {
         return None;
@@ -202,7 +202,8 @@ fn frame_number(files: &[&FrameCandidate]) -> Result<FrameNumber, SimulationErro
 
 /// Texts between the number of a piece and the total number of pieces.
 const COUNT_SEPARATORS: [&str; 3] = ["of", "_of_", "-of-"];
-/// Texts that can stand between these two numbers, but also between other numbers.
+/// Texts that can stand between the number of a piece and the total number of pieces, but also
+/// between other numbers.
 const POSSIBLE_COUNT_SEPARATORS: [&str; 3] = ["_", "-", "."];
 
 /// Files whose names seem to contain the number of pieces.
@@ -268,8 +269,8 @@ fn is_padded(digits: &str) -> bool {
 /// as the number of a piece only if there are at most as many pieces as frames.
 ///
 /// # Errors
-/// If a word such as `rank` precedes the piece's number: [`SimulationError::Names`] if half or more
-/// of the frames lack pieces, if the pieces are not numbered from 0 without gaps, or if this number
+/// [`SimulationError::Names`] if a word such as `rank` precedes the piece's number, and half or
+/// more of the frames lack pieces, the pieces are not numbered from 0 without gaps, or this number
 /// is the only number in the names.
 fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, SimulationError> {
     let first = files[0];
@@ -327,7 +328,8 @@ fn pieces(files: &[&FrameCandidate], varying: &[usize]) -> Result<PiecesGuess, S
     let is_same = frames.values().all(|own| *own == counted);
     let pattern = in_pieces(first, frame, piece);
     if is_process(&piece) {
-        // A frame that lacks pieces fails when it is converted.
+        // If more than half of the frames have all pieces, the other frames are accepted here. They
+        // fail when they are converted.
         let whole = frames.values().filter(|own| **own == counted).count();
         let is_part = |own: &BTreeSet<Option<usize>>| own.is_subset(&counted);
         if 2 * whole > frames.len() && frames.values().all(is_part) {

@@ -113,7 +113,7 @@ impl Inputs {
         Ok(Self::Together(members))
     }
 
-    /// The inputs as the request names them.
+    /// The pattern, path or glob of the request. For a list of files, the path of the first file.
     pub fn describe(&self) -> String {
         match self {
             Self::Pattern(pattern) => pattern.to_string(),
@@ -335,7 +335,8 @@ impl Inputs {
                 let all = all_in(folder)?;
                 let frames = |is_frame: fn(&Path) -> bool| {
                     let files = all.iter().filter(|path| is_frame(path) && !self.hides(path));
-                    // A folder may contain other files: files without a number are not frames.
+                    // A folder may contain files other than frames, so files without a number are
+                    // ignored.
                     let mut frames = whole_frames(files.cloned().collect());
                     frames.retain(|frame| !frame.runs.is_empty());
                     frames
@@ -360,7 +361,8 @@ impl Inputs {
 }
 
 impl Sequence {
-    /// The pattern of the frames, or the inputs as the request names them.
+    /// The pattern of the frames or, if there is no pattern, the
+    /// [description](Inputs::describe) of the inputs.
     pub fn describe(&self) -> String {
         self.pattern.as_ref().map_or_else(|| self.source.describe(), Pattern::to_string)
     }
@@ -560,9 +562,10 @@ pub fn frames(inputs: &[PathBuf]) -> Result<Vec<FrameFile>, Error> {
     Ok(frames)
 }
 
-/// Expands arguments to existing files: files, the `wanted` files of a folder, and the matches of a
-/// glob or a name with `{}`. Sorts the files of each argument by name, where numbers are compared
-/// by value.
+/// Expands arguments to files. A folder expands to its `wanted` files, a glob to the `wanted` files
+/// that it matches, a name with `{}` to the files of its frames, and a list of frames, such as a
+/// `.pvd` file, to the files that it lists. Any other argument is returned unchanged. Sorts the
+/// files of each argument by name, where numbers are compared by value.
 ///
 /// # Errors
 /// [`Error::Simulation`] for a folder that cannot be read, an invalid pattern, and arguments that
@@ -629,8 +632,8 @@ fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
     parts
 }
 
-/// Removes meshes. Files whose names differ only in the last number are of one kind, so only the
-/// first of them is read.
+/// Removes meshes. Files whose names differ only in the last number are assumed to be either all
+/// meshes or all particles, so only the first of them is read.
 fn without_meshes(files: Vec<FrameCandidate>) -> Vec<FrameCandidate> {
     let mut by_last: BTreeMap<_, Vec<_>> = BTreeMap::new();
     for file in files {
@@ -665,8 +668,8 @@ fn is_unchanged_for(file: &FrameCandidate, patience: Duration) -> bool {
     modified.is_ok_and(|modified| modified.elapsed().is_ok_and(|since| since >= patience))
 }
 
-/// Rejects numbers that may be decimals, such as `f_0.15` and `f_0.2`: as integers, their order
-/// would be wrong.
+/// Rejects numbers that may be decimals, such as in `f_0.15` and `f_0.2`, because the integers 15
+/// and 2 would put these frames in the wrong order.
 fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), SimulationError> {
     let before = pattern.prefix.strip_suffix('.').and_then(|before| before.chars().last());
     if !before.is_some_and(|last| last.is_ascii_digit()) {
@@ -698,7 +701,8 @@ fn members_of(members: &[Inputs]) -> Result<Vec<Sequence>, SimulationError> {
 fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     let fail = |fault| SimulationError::Unreadable { path: folder.to_owned(), fault };
     let entries = match std::fs::read_dir(folder) {
-        // A simulation that is being watched may still create the folder.
+        // A missing folder is not an error here, because a simulation that is being watched may
+        // still create it.
         Err(fault) if fault.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(fail)?,
     };

@@ -3,7 +3,8 @@
 
 use crate::grid::units::MemoryBudget;
 
-/// Minimum memory, in bytes, of a lane. With less memory per lane, fewer lanes are used.
+/// Minimum memory, in bytes, of a lane. If the memory is too small for all lanes, fewer lanes are
+/// used.
 const LEAST_LANE_MEMORY: u64 = 64 << 20;
 
 /// Threads and memory of each lane.

@@ -36,8 +36,9 @@ impl Naming {
     /// # Errors
     /// [`SimulationError::Names`] for an invalid pattern.
     pub fn of(path: &Path) -> Result<Option<Self>, SimulationError> {
-        // An existing folder with the name of a mesh file, such as `water.ply`, is not a folder for
-        // outputs. The output is then one mesh, which cannot replace the folder.
+        // An existing folder with the name of a mesh file, such as `water.ply`, does not count as a
+        // folder for outputs. The path then stands for one mesh file, which cannot replace the
+        // folder.
         let is_folder = path.is_dir() && MeshFormat::of(path).is_none();
         if is_folder || path.to_string_lossy().ends_with(std::path::is_separator) {
             return Ok(Some(Self::Folder(path.to_owned())));
@@ -74,7 +75,7 @@ impl Naming {
         Some(Self::Archive { path: path.to_owned(), frames })
     }
 
-    /// The archive of all frames, if the output is one.
+    /// The archive of all frames; `None` if the output is not an archive.
     pub fn archive(&self) -> Option<FrameArchive> {
         let Self::Archive { path, frames } = self else { return None };
         Some(FrameArchive::new(path.clone(), frames.folder.clone()))

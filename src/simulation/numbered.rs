@@ -81,8 +81,8 @@ pub(super) fn number_by_time(files: Vec<(String, FrameCandidate)>) -> Vec<FrameF
 /// a frame, the joined frame is incomplete.
 ///
 /// # Errors
-/// [`SimulationError::Names`] if two simulations have no frame number in common, or if frames with
-/// the same number have different times.
+/// [`SimulationError::Names`] if a simulation has no frame number in common with the simulations
+/// before it, or if frames with the same number have different times.
 pub(super) fn join_simulations(
     sequences: &[Sequence],
     lists: Vec<Vec<FrameFile>>,

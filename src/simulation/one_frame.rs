@@ -1,5 +1,6 @@
 //! Converts one frame. The frame is read, and its particles are counted, in parallel with other
-//! frames. If the memory allows, it is also meshed in parallel, and otherwise alone.
+//! frames. If the backend and the memory allow, the frame is also meshed in parallel with other
+//! frames, and otherwise alone.
 
 use std::mem::take;
 use std::path::{Path, PathBuf};
@@ -256,7 +257,8 @@ impl Conversion<'_> {
 
     /// Whether a file that this conversion did not write already exists at the path of the mesh.
     /// Files of this conversion have a record. If a process was killed between writing a mesh and
-    /// its record, the existing file has the same bytes as the new mesh.
+    /// its record, the existing file has the same bytes as the new mesh, so it counts as a file of
+    /// this conversion.
     fn is_foreign(&self, target: &Path, made: &Record) -> bool {
         let is_own = || {
             let records = self.records_before.get_or_init(|| Records::read(self.store.folder()));
@@ -371,8 +373,8 @@ impl Conversion<'_> {
         Ok(MeshableFrame { frame, left_out, particle_types, warnings, infos, time, permit })
     }
 
-    /// Returns how much of a lane's memory is for the frame itself. The rest is for simplifying,
-    /// for a writer that needs much memory, and for the frame's own solids.
+    /// Returns the part of a lane's memory that the frame itself may use. The remaining memory is
+    /// for simplifying, for a writer that holds the whole mesh, and for the frame's own solids.
     fn frame_budget(&self, checked: &CheckedRequest, lane: MemoryBudget) -> MemoryBudget {
         let CheckedRequest { settings, reduction, surfacing, .. } = self.setup.checked;
         let own = checked.surfacing.solid.as_ref().filter(|_| surfacing.solid.is_none());

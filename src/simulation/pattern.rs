@@ -3,8 +3,8 @@
 //! In a pattern, `{}` stands for the frame's number, which may be negative. `{time}` stands for a
 //! decimal number by which frames are ordered, and `{piece}` for the number of a piece, if a frame
 //! is stored in several files. Notations of other programs also stand for the frame's number:
-//! `%04d`, `####`, `$F4`, `<frame>`. If the request has no pattern, `inferred::infer` derives one
-//! from all names together.
+//! `%04d`, `####`, `$F4`, `<frame>`. If the request has no pattern, `inferred::infer` compares all
+//! names to derive one.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -209,8 +209,8 @@ pub(super) fn digit_runs(text: &str) -> Vec<Range<usize>> {
     runs
 }
 
-/// Replaces each of these runs of digits with a zero byte. Texts that differ only in these digits
-/// have the same skeleton.
+/// Replaces each of the `runs` of digits with a zero byte. Texts that differ only in the replaced
+/// digits have the same skeleton.
 pub(super) fn skeleton(text: &str, runs: &[Range<usize>]) -> String {
     let mut skeleton = text.to_owned();
     // No file name contains a zero byte.
@@ -268,7 +268,8 @@ impl FrameCandidate {
         &self.name[self.runs[run].clone()]
     }
 
-    /// The pattern of the names that differ from this one only in this run of digits.
+    /// The pattern of the names that differ from this name only in the run of digits with index
+    /// `run`.
     pub(super) fn pattern(&self, run: usize) -> Pattern {
         self.pattern_at(self.runs[run].clone(), NumberKind::Whole)
     }

@@ -35,7 +35,8 @@ const KNOWN: &str = ".png, and .apng for an animation";
 /// Width and height, in pixels, of a picture on a contact sheet.
 const SHEET_PICTURE_SIZE: [usize; 2] = [640, 360];
 const ANIMATION_SIZE: [usize; 2] = [960, 540];
-/// Maximum number of pictures on a sheet. With more meshes, evenly spaced ones are drawn.
+/// Maximum number of pictures on a sheet. If there are more meshes, an evenly spaced selection of
+/// them is drawn.
 const MOST_ON_SHEET: usize = 24;
 const COLUMNS: usize = 4;
 /// Default number of pictures per second of an animation.
@@ -64,7 +65,7 @@ pub struct Pictures {
     cancel: Cancel,
 }
 
-/// A prepared file for pictures, such as a `.png`, that appears completely or not at all.
+/// A prepared file for pictures, such as a `.png`, that is written completely or not at all.
 #[derive(Debug)]
 pub struct PictureFile {
     file: WholeFile,
@@ -167,8 +168,8 @@ enum PictureTarget {
 
 impl Pictures {
     /// A request for pictures of files, a folder, a glob, or a pattern with `{}` for the frame
-    /// number. If the picture does not set the up axis, it is the axis of the first mesh whose file
-    /// or list of frames records one, or y if there is no record.
+    /// number. If the picture does not set the up axis, the pictures use the up axis of the first
+    /// mesh whose file or list of frames records one, or y if no up axis is recorded.
     pub fn new<I: Into<PathBuf>>(
         picture: Picture,
         meshes: impl IntoIterator<Item = I>,
@@ -479,7 +480,8 @@ impl Pictures {
     }
 }
 
-/// The meshes in a list of frames, or only the mesh with the given number.
+/// The meshes in a list of frames. If `path` ends with `#` and a number, only the mesh with this
+/// number.
 fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
     let (list, step) = file_and_step(path);
     let frames = match step {
@@ -497,7 +499,7 @@ fn in_list(path: &Path) -> Result<Vec<FrameFile>, Error> {
     (step.unwrap_or(0) as i64..).zip(frames).map(frame).collect()
 }
 
-/// A mesh file, whose name need not have a number.
+/// The frame for a single mesh file, whose name need not contain a number.
 fn single_mesh(path: &Path) -> FrameFile {
     FrameFile::new(0, String::new(), path.to_owned())
 }
@@ -528,7 +530,7 @@ pub struct Sheet {
 /// A finished contact sheet. `Display` prints it as one line.
 #[derive(Debug, Clone)]
 #[non_exhaustive]
-#[must_use = "meshes may be missing on it"]
+#[must_use = "meshes may be missing from the sheet"]
 pub struct SheetDone {
     /// The picture's file; it does not exist if no mesh could be drawn.
     pub path: PathBuf,
@@ -689,8 +691,9 @@ impl Sheet {
         format!("a sheet of {}", names.join(", "))
     }
 
-    /// Returns [`Replace::Allow`] if the sheet may replace an existing file: if outputs may be
-    /// replaced, or if the conversion is resumed and the file is a sheet of its meshes.
+    /// Returns [`Replace::Allow`] if the sheet may replace an existing file. This is the case if
+    /// outputs may be replaced, or if the conversion is resumed and the file is a sheet of its
+    /// meshes.
     fn replace(&self) -> Replace {
         let is_own = || {
             let file = File::open(&self.path).ok();

@@ -18,7 +18,8 @@ use super::pattern::{FrameCandidate, all_digits, digit_runs, skeleton};
 
 /// Returns the frames among `paths`, in the same order.
 pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
-    // A file that cannot be read names no pieces; its conversion reports the error.
+    // A file that cannot be read counts as a frame without pieces, whose conversion reports the
+    // error.
     let (mut named, mut future_pieces) = (HashSet::new(), HashSet::new());
     for index in &paths {
         for piece in listed_pieces(index).unwrap_or_default() {
@@ -48,7 +49,7 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
         {
             Some((number, snapshot, base)) if snapshot.in_pieces => {
                 let is_representative = !snapshot.has_base && number == snapshot.first;
-                // The frame's number is part of `base`, with which the names of all pieces begin.
+                // The names of all pieces begin with `base`, which contains the frame's number.
                 is_representative.then(|| FrameCandidate {
                     runs: FrameCandidate::from(base).runs,
                     ..path.into()
@@ -60,9 +61,9 @@ pub(super) fn whole_frames(paths: Vec<PathBuf>) -> Vec<FrameCandidate> {
     paths.into_iter().filter_map(whole).collect()
 }
 
-/// The naming scheme of a frame's pieces: their folder, and the skeleton of their names. `None`
-/// unless `piece` is in the folder of the frame, and its name continues the frame's name with
-/// another number.
+/// The naming scheme of a frame's pieces: their folder, and the skeleton of their names. Returns
+/// `None` unless `piece` is in the folder of the frame, the frame's name contains a number, and the
+/// name of `piece` is the frame's name followed by another number.
 fn piece_naming(index: &Path, piece: &Path) -> Option<(PathBuf, String)> {
     let stem = index.file_stem()?.to_str()?;
     let own = piece.file_name()?.to_str()?.strip_prefix(stem)?;

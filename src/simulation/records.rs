@@ -109,7 +109,7 @@ impl Records {
 }
 
 impl Records {
-    /// Whether `output` is the recorded mesh of a frame that had another input.
+    /// Whether `output` is the recorded mesh of `frame`, made from an input that has changed since.
     pub fn has_other_input(&self, frame: &FrameFile, output: &Path) -> bool {
         self.0.get(&frame.number).is_some_and(|record| {
             frame.stamp().is_ok_and(|stamp| stamp != record.input)

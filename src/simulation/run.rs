@@ -72,7 +72,8 @@ impl Simulation {
     /// Converts a simulation. If the calibration frame changes meanwhile, measures the calibration
     /// again, and remakes the frames that used the old one.
     fn convert(&self, checked: CheckedSimulation<'_>) -> Result<Summary, Error> {
-        // Later passes can resume: by then, all existing outputs come from this conversion.
+        // Later passes can resume, because all outputs that exist by then come from this
+        // conversion.
         let resumed = Self { resume: true, ..self.clone() };
         let first = checked.setup;
         let mut end = self.convert_once(checked)?;
@@ -221,9 +222,9 @@ impl Simulation {
         Ok(found)
     }
 
-    /// Runs `act` for each simulation in turn on another thread, and passes their events to
-    /// `on_event` on this thread. Returns the inputs and the result of each simulation, or an
-    /// error that concerns all simulations.
+    /// Runs `act` for each simulation in turn on another thread, and passes the events of all
+    /// simulations to `on_event` on this thread. Returns the inputs and the result of each
+    /// simulation, or an error that concerns all simulations.
     fn for_each_simulation<T: Send>(
         &self,
         on_event: impl FnMut(Event),
@@ -275,7 +276,7 @@ impl Simulation {
                 }
                 let result = match self.begin(&setup, frames).and_then(act) {
                     // An error in the files of one simulation, or a selection that contains none of
-                    // its frames, does not stop the others.
+                    // its frames, does not stop the other simulations.
                     Err(error) if concerns_one(&error) && simulations.len() > 1 => {
                         let error = Arc::new(error);
                         setup.send(Event::SimulationFailed(Arc::clone(&error)));
@@ -346,9 +347,10 @@ impl Simulation {
         if wanted.is_empty() && self.watch.is_none() {
             return Err(SimulationError::NoFrameSelected(setup.sequence.describe()).into());
         }
-        // Without a state, existing files are not from this conversion. They are looked up before
-        // `find_state` reads the state, because another process that starts meanwhile writes the
-        // state before its first output.
+        // Without a state, existing output files are not from this conversion. Look for these files
+        // before `find_state` reads the state. Another process that starts meanwhile writes the
+        // state before its first output, so if one of its outputs is found here, `find_state` finds
+        // the state.
         let is_new = !self.overwrite && store.text()?.is_none();
         let foreign = is_new.then(|| setup.existing(&frames, &series)).flatten();
         let existing =

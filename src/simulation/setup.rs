@@ -72,8 +72,8 @@ impl ExistingMeshes {
         others.filter(exists).map(|(_, mesh)| mesh)
     }
 
-    /// Returns the existing files in `folder` with earlier meshes of wanted frames. Leaves out
-    /// frames whose numbers are in `listed`.
+    /// Returns the existing files in `folder` with earlier meshes of frames for whose numbers
+    /// `includes` returns true. Leaves out frames whose numbers are in `listed`.
     pub(super) fn stale(
         &self,
         listed: &BTreeSet<i64>,
@@ -256,7 +256,7 @@ impl Setup<'_> {
     }
 
     /// The settings of the request as a state stores them. A request without a frame rate takes the
-    /// rate of `known`, the state of earlier frames, unless it replaces these frames.
+    /// rate of `known`, the state of earlier frames, unless the request replaces these frames.
     pub(super) fn settings_to_store(&self, known: Option<&State>) -> StoredSettings {
         let Simulation { fps, resume, overwrite, .. } = *self.simulation;
         let continues = resume || !overwrite;

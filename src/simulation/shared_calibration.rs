@@ -42,7 +42,7 @@ pub struct SharedCalibration {
     /// The sizes of the particles, if there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sizes: Option<Sizes>,
-    /// The walls of the tank, if the request asked to find them.
+    /// The walls of the tank, if the request searches for walls.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub walls: Option<FoundWalls>,
     /// The calibration; `None` for kernel methods.
@@ -54,13 +54,14 @@ pub struct SharedCalibration {
 }
 
 /// Maximum relative difference between the cells of a packed frame and those of the calibration
-/// frame. This difference changes the volume of the surface by about the same percentage. The
+/// frame. A difference of 5% between the cells changes the volume of the surface by about 5%. The
 /// estimated spacings of similar frames differ by less than this maximum.
 const SAME_CELLS: f64 = 0.05;
 
 impl SharedCalibration {
     /// Rejects a packed frame whose cells or spacing differ from those of the calibration frame. If
-    /// particles have several sizes, the spacing is the smallest size, which may differ.
+    /// particles have several sizes, accepts every frame, because the spacing is then the smallest
+    /// size, which may differ between frames.
     pub(super) fn check_cells(&self, facts: &FrameFacts) -> Result<(), FrameError> {
         if self.sizes.is_some() {
             return Ok(());
@@ -109,8 +110,9 @@ pub enum Trust {
     Sound,
 }
 
-/// Calibrates a simulation on `particles`. Uses the chosen `cells`, or `lattice`: the grid and the
-/// method of an earlier frame whose particles form a lattice.
+/// Calibrates a simulation on `particles`, with the chosen `cells`. If `lattice` is given, it
+/// replaces the grid of `cells` and the method of the request. It holds the grid and the method of
+/// an earlier frame whose particles form a lattice.
 pub(super) fn measure_in(
     cells: &Cells,
     lattice: Option<(Grid, Method)>,
@@ -136,9 +138,9 @@ pub(super) fn measure_in(
 /// The particles of the first frame often form a lattice in a special position relative to the
 /// grid. Such a frame is measured on a moved grid, on which it is sampled like disordered fluid. If
 /// the origin is free, all frames are sampled on the moved grid: see
-/// [`lattice_origin`](crate::particles::lattice::lattice_origin). For symmetry, the moved grid
-/// suffices. For counting, the isovalue must come from a disordered frame. Clouds do not depend on
-/// the position of the grid.
+/// [`lattice_origin`](crate::particles::lattice::lattice_origin). For the indicator symmetry, the
+/// moved grid suffices. For counting, the isovalue must come from a disordered frame. The indicator
+/// cloud does not depend on the position of the grid.
 ///
 /// # Errors
 /// [`FrameError::TooFine`], and the errors of [`Sampling::check_fit`] and of [`Engine::sample`].

@@ -21,8 +21,8 @@ const CELLS: u32 = 160;
 pub(super) struct SmallMeshes(PathBuf);
 
 impl SmallMeshes {
-    /// The small meshes in `state`, which is the folder of a simulation's state. Creates nothing
-    /// yet.
+    /// The small meshes in `state`, which is the folder of a simulation's state. Does not create
+    /// their folder.
     pub(super) fn beside(state: &Path) -> Self {
         Self(state.join("small"))
     }

@@ -86,7 +86,7 @@ mod tests {
         let frame = |number: i64| FrameFile::new(number, number.to_string(), path("water"));
         let frames = names.with_files(vec![frame(2), frame(3)]);
         assert_eq!(frames[0].solids, [path("tank.obj"), path("ship_0002.obj")]);
-        // If the file of a solid is missing, its name contains the frame number without padding.
+        // If the file of a solid is missing, its expected name contains the frame's own digits.
         assert_eq!(frames[1].solids, [path("tank.obj"), path("ship_3.obj")]);
         let timed = Some(vec![text("ship_{time}.obj")]);
         assert!(SolidNames::of(&Settings { solid: timed, ..Settings::default() }).is_err());

@@ -66,8 +66,8 @@ impl State {
         crc32fast::hash(&json(&state))
     }
 
-    /// Returns the names of the settings that differ from `wanted`, as text, which is empty if none
-    /// differ.
+    /// Returns the names of the settings that differ from `wanted`, as text. The text is empty if
+    /// no setting differs.
     pub fn differing(&self, wanted: &StoredSettings) -> String {
         differing(&self.meniscus, &self.settings, wanted)
     }
@@ -113,7 +113,7 @@ pub struct StateFolder {
 }
 
 impl StateFolder {
-    /// The state folder next to the outputs of `simulation`. Creates nothing yet.
+    /// The state folder next to the outputs of `simulation`. Does not create the folder.
     pub fn beside(simulation: &Path) -> Self {
         let mut name = simulation.as_os_str().to_owned();
         name.push(".meniscus");
@@ -167,8 +167,8 @@ impl StateFolder {
 
     /// Begins a run with `found`, the result of the search for a state, and returns the state if it
     /// belongs to the request. A stale state stays until [`add`](Self::add) replaces it.
-    /// `makes_frames` says whether this process makes frames. If so, it opens its log as soon as
-    /// there is a valid state, so that other processes can see that it is running.
+    /// `makes_frames` says whether this process makes frames. A process that makes frames opens its
+    /// log as soon as there is a valid state, so that other processes can see that it is running.
     ///
     /// # Errors
     /// [`SimulationError::Busy`] if another process has meanwhile removed the state or stored one

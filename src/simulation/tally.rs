@@ -87,12 +87,12 @@ impl<'a> Tally<'a> {
         listed.extend(done);
     }
 
-    /// Adds finished meshes of frames that are not among the existing `frames`: their inputs were
-    /// removed, or are left out of this request. Returns the number of added meshes.
+    /// Adds finished meshes of frames that are not among the existing `frames`, because their
+    /// inputs were removed or are left out of this request. Returns the number of added meshes.
     ///
-    /// If the request overwrites meshes, or if the frames have no numbers of their own, adds
-    /// nothing: a mesh may belong to an earlier simulation, or its frame may have another number by
-    /// now.
+    /// Adds nothing if the request overwrites meshes, because a mesh may belong to an earlier
+    /// simulation. Also adds nothing if the file names do not contain the frame numbers, because
+    /// the frame of a mesh may have another number by now.
     fn list_others(&mut self, meshes: &ExistingMeshes, frames: &[FrameFile]) -> usize {
         let Setup { simulation, sequence, ref outputs, .. } = *self.conversion.setup;
         let has_numbers = sequence.has_own_numbers();
@@ -203,7 +203,7 @@ impl<'a> Tally<'a> {
         if self.is_behind { self.write_series() } else { Ok(()) }
     }
 
-    /// The lists, with the frame rate that the state records.
+    /// The series, with the frame rate that is stored in the state.
     fn series(&self) -> Series {
         let settled = self.conversion.settled.get().and_then(Option::as_ref);
         let fps = settled.map_or(self.series.fps, |settled| settled.state.fps());

@@ -75,9 +75,10 @@ impl Cancel {
     /// Removes all unfinished outputs, for a process that is about to exit. Outputs that already
     /// have their final name stay.
     ///
-    /// First waits for threads that are writing the plan of a frame's parts or a record of a
-    /// conversion, such as the record of a finished frame, or that are just beginning or ending an
-    /// output. A thread that begins one of these steps after this call waits forever.
+    /// First waits for threads that are in a step that must not be interrupted. Such a step writes
+    /// the plan of a frame's parts or a record of a conversion, such as the record of a finished
+    /// frame, or begins or ends an output. A thread that reaches such a step after this call waits
+    /// forever.
     pub fn abandon(&self) {
         let held = self.0.undisturbed.write().unwrap_or_else(PoisonError::into_inner);
         remove(&self.unfinished());

@@ -146,7 +146,7 @@ impl Meter<'_> {
         self.control.cancel.go_on()
     }
 
-    /// Whether the caller has not cancelled the work.
+    /// Returns true until the caller cancels the work.
     pub fn goes_on(&self) -> bool {
         !self.control.cancel.is_cancelled()
     }

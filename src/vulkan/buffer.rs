@@ -38,9 +38,9 @@ const HANDLE: vk::ExternalMemoryHandleTypeFlags = vk::ExternalMemoryHandleTypeFl
 pub enum BufferKind {
     /// The fastest memory for shaders, which the host cannot access.
     Device,
-    /// Written by the host, read by the device.
+    /// Memory that the host writes and the device reads.
     Upload,
-    /// Written by the device, read by the host.
+    /// Memory that the device writes and the host reads.
     Download,
 }
 
@@ -366,14 +366,15 @@ impl Buffer {
     /// If the buffer has fewer than `count` values, or is not visible to the host.
     #[must_use]
     pub unsafe fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
-        // SAFETY: by the caller's guarantee; the values are copied before this returns.
+        // SAFETY: the caller guarantees that nothing writes to this range, and the values are
+        // copied before this function returns.
         unsafe { self.values(offset, count) }.to_vec()
     }
 
     /// Returns the values that [`read`](Self::read) would copy, without copying them.
     ///
     /// # Safety
-    /// As for [`read`](Self::read), for as long as the values are used.
+    /// The conditions of [`read`](Self::read) must hold for as long as the values are used.
     pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
         let from = self.mapped(offset, size_of::<T>() * count);
         self.device.counters.received.fetch_add((size_of::<T>() * count) as u64, Ordering::Relaxed);
@@ -454,28 +455,28 @@ impl View {
     /// Writes into this view, as [`Buffer::write`] does.
     ///
     /// # Safety
-    /// As for [`Buffer::write`].
+    /// The same conditions as for [`Buffer::write`].
     pub unsafe fn write<T: Pod>(&self, offset: u64, values: &[T]) {
-        // SAFETY: by the caller's guarantee.
+        // SAFETY: the caller guarantees the conditions of `Buffer::write`.
         unsafe { self.buffer.write(self.offset + offset, values) };
     }
 
     /// Returns values in this view, as [`Buffer::values`] does.
     ///
     /// # Safety
-    /// As for [`Buffer::values`].
+    /// The same conditions as for [`Buffer::values`].
     pub(crate) unsafe fn values<T: Pod>(&self, offset: u64, count: usize) -> &[T] {
-        // SAFETY: by the caller's guarantee.
+        // SAFETY: the caller guarantees the conditions of `Buffer::values`.
         unsafe { self.buffer.values(self.offset + offset, count) }
     }
 
     /// Reads from this view, as [`Buffer::read`] does.
     ///
     /// # Safety
-    /// As for [`Buffer::read`].
+    /// The same conditions as for [`Buffer::read`].
     #[must_use]
     pub unsafe fn read<T: Pod>(&self, offset: u64, count: usize) -> Vec<T> {
-        // SAFETY: by the caller's guarantee.
+        // SAFETY: the caller guarantees the conditions of `Buffer::read`.
         unsafe { self.buffer.read(self.offset + offset, count) }
     }
 }

@@ -28,12 +28,13 @@ pub struct DeviceOptions {
     pub memory: Option<u64>,
     /// The folder in which compiled pipelines are kept between runs.
     pub pipeline_cache: Option<PathBuf>,
-    /// Maximum bytes of a storage buffer for shaders; `None` for the device's own limit, which
-    /// applies in any case.
+    /// Maximum bytes of a storage buffer for shaders; `None` for no maximum. The device's own limit
+    /// applies as well.
     pub storage_range: Option<u64>,
     /// The queues to use.
     pub queues: Queues,
-    /// Whether the device shares the host's memory; if `None`, the kind of the device decides.
+    /// Whether the device shares the host's memory. `None` means true for integrated GPUs and for
+    /// drivers that compute on the CPU, and false for other devices.
     pub shares_host_memory: Option<bool>,
     /// Whether buffers have [addresses](super::View::address). The device needs
     /// `bufferDeviceAddress`, and an adopted device must have it enabled.
@@ -513,7 +514,7 @@ impl SharedDevice {
     }
 
     /// Converts the result of a failed call to an error, and records that the device is lost if the
-    /// result says so.
+    /// result reports this.
     pub(super) fn call_error(&self, call: &'static str) -> impl Fn(vk::Result) -> VulkanError + '_ {
         move |result| {
             let error = VulkanError::of(call)(result);
@@ -577,7 +578,7 @@ fn read_cache(file: &Path) -> Option<Vec<u8>> {
 
 impl Drop for SharedDevice {
     fn drop(&mut self) {
-        // If the cache cannot be saved, the next run only takes longer.
+        // If the cache cannot be saved, the next run compiles the shaders again.
         let _ = self.save_cache();
         // SAFETY: buffers, shaders and batches hold references to this object, so all of them are
         // already destroyed when it is dropped. The allocator is dropped before its device.

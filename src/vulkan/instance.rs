@@ -10,8 +10,8 @@ use crate::system::memory::default_stack;
 
 use super::{MOST_BUFFERS, MOST_SHARED, MOST_THREADS, VulkanError};
 
-/// The smallest stack limit, in bytes, that meniscus accepts: threads of lavapipe overflow a stack
-/// of 16 KiB.
+/// The smallest stack limit, in bytes, that meniscus accepts. The threads of lavapipe overflow a
+/// stack of 16 KiB.
 const LEAST_STACK: u64 = 256 << 10;
 
 const VALIDATION: &CStr = c"VK_LAYER_KHRONOS_validation";
@@ -368,7 +368,7 @@ pub(super) fn names(
     extensions.iter().any(|known| known.extension_name_as_c_str() == Ok(name)).then_some(name)
 }
 
-/// Returns the first requirement that a device does not meet; `None` if it meets all.
+/// Returns the first requirement that a device does not meet; `None` if it meets all requirements.
 pub(super) fn lacks(
     instance: &ash::Instance,
     physical: vk::PhysicalDevice,

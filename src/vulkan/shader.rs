@@ -126,7 +126,7 @@ impl Device {
 
 impl Drop for ComputePipeline {
     fn drop(&mut self) {
-        // SAFETY: batches hold the shaders that they run, so none of them is in use.
+        // SAFETY: batches hold the pipelines that they run, so this pipeline is not in use.
         unsafe {
             self.device.raw.destroy_pipeline(self.pipeline, None);
             self.device.raw.destroy_pipeline_layout(self.layout, None);

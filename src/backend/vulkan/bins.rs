@@ -323,8 +323,8 @@ fn read_pages(
     keys: &[MortonKey],
     shape: PageShape,
 ) -> Result<Pages, VulkanError> {
-    // The download is submitted only now, so that it could not delay the upload of the next batch,
-    // which uses the same queue.
+    // The download is submitted only now, because an earlier submission could have delayed the
+    // upload of the next batch, which uses the same queue.
     lane.download.stage("download", 2 * batch.pages.bytes());
     lane.download.copy(&batch.pages, &batch.read);
     lane.download.submit(lane.compute.last())?;

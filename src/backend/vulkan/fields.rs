@@ -35,8 +35,9 @@ pub(super) struct PaddedBlocks {
     pub(super) level: u32,
     /// The bits that mark the inside bricks, if there are any.
     pub(super) marks: Option<View>,
-    /// For each of the other [`PaddedBlocks`] whose blocks contain these blocks, its index and a
-    /// list. For each of these blocks, the list has the number of the block that contains it.
+    /// Pairs of an index and a list of block numbers. The index identifies other [`PaddedBlocks`],
+    /// whose blocks contain these blocks. For each of these blocks, the list gives the number of
+    /// the block that contains it.
     pub(super) within: Vec<(usize, View)>,
     /// Unused buffers.
     pub(super) free: Vec<View>,

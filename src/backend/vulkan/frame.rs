@@ -82,7 +82,7 @@ impl DeviceFrame {
         self.reusable.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes existing lanes if they are not too large for this frame, or makes new ones.
+    /// Takes existing lanes if they are not too large for this frame, or makes new lanes.
     pub(super) fn make_lanes(&self, state: &mut DeviceState) -> Result<(), VulkanError> {
         while state.lanes.len() < LANES {
             let mut reusable = self.reusable();

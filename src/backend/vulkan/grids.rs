@@ -140,7 +140,8 @@ impl LevelBlocks {
     /// # Safety
     /// No batch in flight may use the staging buffer.
     pub(super) unsafe fn stage(&self, staged: &View, places: &Places, from: SampleSource<'_>) {
-        // SAFETY: by the caller's guarantee, and the parts do not overlap.
+        // SAFETY: the caller guarantees that no batch in flight uses the buffer, and the parts do
+        // not overlap.
         unsafe {
             staged.write(places.blocks.start, &self.blocks);
             staged.write(places.tables.start, &self.tables);
@@ -152,7 +153,8 @@ impl LevelBlocks {
             || vec![0; dif.shape().bin_samples()],
             |dense, (number, &bin)| {
                 dif.write_stored(bin, dense);
-                // SAFETY: by the caller's guarantee, and the pages do not overlap.
+                // SAFETY: the caller guarantees that no batch in flight uses the buffer, and the
+                // pages do not overlap.
                 unsafe { staged.write(places.pages.start + number as u64 * page_bytes, dense) };
             },
         );

@@ -123,9 +123,9 @@ pub(super) fn part(view: &View, range: &Range<u64>) -> View {
 }
 
 /// Keeps all lanes busy. `start` starts the next batch on an idle lane; `None` means that there are
-/// no more batches. `go_on` starts the second part of a batch, if it has one. `finish` waits for a
-/// batch, and takes its results. `go_on` and `finish` receive the batches in the order in which
-/// they were started.
+/// no more batches. `go_on` starts the second part of a batch, if the batch has one. `finish` waits
+/// for a batch, and takes its results. `go_on` and `finish` receive the batches in the order in
+/// which they were started.
 pub(super) fn run_batches<T, E>(
     lanes: &mut [Lane],
     mut start: impl FnMut(&mut Lane) -> Result<Option<T>, E>,

@@ -207,7 +207,7 @@ impl Executor for Vulkan {
 impl Stages for Arc<DeviceFrame> {
     /// Keeps the field on the device if it fits. The field goes to the host if the device shares
     /// the host's memory. It also goes to the host if the pages take less memory than the
-    /// particles: while a field is on the device, the host must keep the particles, so that the CPU
+    /// particles. While a field is on the device, the host must keep the particles, so that the CPU
     /// can recompute pages after a failure.
     fn field(&self, bins: &Arc<Bins>, rule: &PageRule, meter: &Meter<'_>) -> io::Result<DifField> {
         let (count, shape) = (bins.keys().len(), rule.shape());

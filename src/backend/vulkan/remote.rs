@@ -55,7 +55,7 @@ impl PageSource for RebuiltPages {
 struct LostPages(PageShape);
 
 impl PageSource for LostPages {
-    /// Returns zeros. They are not used, because the frame returns the error of the device.
+    /// Returns zeros. The zeros are not used, because the frame returns the error of the device.
     fn samples(&self, _: usize) -> Vec<u16> {
         vec![0; self.0.bin_samples()]
     }

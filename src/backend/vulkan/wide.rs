@@ -57,8 +57,8 @@ impl Contouring<'_> {
             batch.regions.iter().zip(&wide.probes).zip(&results).enumerate()
         {
             let part = probe.outlying(result).map(|wide| {
-                // Interpolation spreads the value of a wide cell to the grid cells in its
-                // neighbours.
+                // Interpolation spreads the value of a wide cell to the grid cells in the
+                // neighbouring wide cells.
                 let further = i32::from(distances.level > 0);
                 let CellBox { lo, hi } = wide.grown(further, further);
                 let near = CellBox { lo: lo << distances.level, hi: hi << distances.level };

@@ -16,8 +16,8 @@ pub struct TapWindow {
     pub reach: i32,
     /// The mirror at walls, if there are any.
     pub mirror: Option<Mirror>,
-    /// The distance, in cells, from a block's faces within which samples are unknown; the operation
-    /// increases it by the reach.
+    /// Samples within this distance, in cells, of a block's faces are unknown. After the operation,
+    /// the distance is larger by the reach.
     pub margin: i32,
 }
 

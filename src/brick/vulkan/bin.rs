@@ -39,15 +39,16 @@ pub const PROBES: u32 = 128;
 pub const SETTLED: u32 = u32::MAX;
 /// The value of both words of the key of a particle without a bin.
 pub const NO_BIN: u32 = u32::MAX;
-/// Marks a slot whose bin belongs to another run of the sort, which sorts only some of the bins in
-/// each run. Slots of the current run hold the position of their bin's next particle instead.
+/// The sort handles one run of bins at a time. This value marks a slot whose bin belongs to another
+/// run than the current one. A slot of the current run holds the position of its bin's next
+/// particle instead.
 pub const ELSEWHERE: u32 = u32::MAX;
 /// Bytes of a packed particle.
 const RECORD_BYTES: u64 = 8;
 /// Size, in bytes, of the number of a slot, which is stored for each particle.
 const HOME_BYTES: u64 = 4;
-/// Maximum number of particles in a bin, which one work group can sum before the driver's timeout.
-/// This is 4096 particles per cell, far more than is useful.
+/// Maximum number of particles in a bin. One work group can sum this number of particles before the
+/// driver's timeout. The maximum is 4096 particles per cell, far more than is useful.
 const MOST_IN_BIN: u32 = 1 << 24;
 
 /// The shaders of binning.
@@ -91,7 +92,7 @@ impl Coordinate {
 }
 
 /// Positions on the device: x, y and z of one particle after another. Shaders read them. If a
-/// particle is invalid, the host downloads its position for the error.
+/// particle is invalid, the host downloads its position for the error message.
 #[derive(Debug, Clone)]
 pub struct DevicePositions {
     /// The buffer; its offset must be a multiple of 4 bytes.

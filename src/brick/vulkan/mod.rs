@@ -33,7 +33,7 @@ pub fn page_words(shape: PageShape) -> u32 {
     (shape.bin_samples() as u32 / 2).next_multiple_of(ALIGNMENT as u32 / 4)
 }
 
-/// Maximum number of work groups in a row, which every device supports.
+/// Maximum number of work groups in a row. Every device supports this number.
 pub const GROUP_ROW: u32 = 1 << 15;
 /// Number of 32-bit words along an axis that one thread of a separable operation computes.
 pub const RUN: u32 = 4;

@@ -1,7 +1,7 @@
 //! Smoothing (section 4.2 of the paper): separable filters along x, then y, then z.
 //!
-//! Along each axis, a cell becomes (sum over taps of weight * sample + 32768) >> 16, with integer
-//! weights that sum to 65536. Without a gain, each result lies between the smallest and the
+//! Along each axis, a cell's new sample is (sum over taps of weight * sample + 32768) >> 16, with
+//! integer weights that sum to 65536. Without a gain, each result lies between the smallest and the
 //! greatest of its samples. With a gain of g bits, a filter shifts the sum along its last axis by
 //! 16 - g bits instead of 16, and saturates at 65535. A wide filter makes samples small, and the
 //! gain preserves their resolution.
@@ -75,7 +75,7 @@ impl Weights {
     }
 
     /// The variance, in squared cells, that this Gaussian had before it was cut off, and the factor
-    /// by which the remaining weights exceed those of the whole Gaussian.
+    /// by which the remaining weights exceed the weights of the whole Gaussian.
     pub fn before_cut(&self) -> (f64, f64) {
         let [centre, next] = [0, 1].map(|k: usize| f64::from(self.half[k]) / f64::from(UNIT));
         let variance = 0.5 / libm::log(centre / next);

@@ -11,8 +11,8 @@ use crate::grid::units::FULL;
 /// Number of synthetic fluids, each at a different position on the grid.
 const PLACES: u64 = 8;
 
-/// Edge of a synthetic fluid: this number of spacings or this number of cells, whichever is longer,
-/// but at most [`MOST_PARTICLES_PER_EDGE`] spacings.
+/// The edge of a synthetic fluid is the longer of `EDGE` spacings and `EDGE` cells, but at most
+/// [`MOST_PARTICLES_PER_EDGE`] spacings.
 const EDGE: f64 = 16.0;
 
 /// A synthetic fluid has at most this many particles along the edge of a cell. At this number,
@@ -31,8 +31,8 @@ const JITTER: f64 = 0.3;
 const LEAST_FULL_CELLS: u64 = 1000;
 
 /// The maximum number of particles of a cell that the estimate of disorder counts, as a multiple of
-/// the usual mean number in full cells. It ignores further particles of the cell, because they are
-/// a clump.
+/// the usual mean number in full cells. The estimate ignores further particles of the cell, because
+/// they are a clump.
 const MOST_TIMES_USUAL: f64 = 4.0;
 
 /// The mean DIF of a fluid whose particles are `spacing` cells apart, on a disordered lattice.

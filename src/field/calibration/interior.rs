@@ -1,10 +1,10 @@
 //! Interior cells: cells deep in the fluid, defined by lengths that do not depend on the cell size.
 //!
 //! A cell counts as fluid if it belongs to the closing of the particles' cells: a dilation followed
-//! by an erosion of the same length. This fills gaps between particles and does not move the outer
-//! surface. A cell of the fluid is interior if it is deeper than the reach of the filters. A depth
-//! of 2.5 standard deviations of a smoothed particle also suffices, because contributions from
-//! farther away are negligible.
+//! by an erosion of the same length. The closing fills gaps between particles and does not move the
+//! outer surface. A cell of the fluid is interior if it is deeper than the reach of the filters. A
+//! depth of 2.5 standard deviations of a smoothed particle also suffices, because contributions
+//! from farther away are negligible.
 
 use glam::IVec3;
 

@@ -1,8 +1,8 @@
-//! mu0, the mean number of particles in a full cell (eq. 4 of the paper): given, or measured before
-//! counts become the DIF.
+//! mu0, the mean number of particles in a full cell (eq. 4 of the paper). It is given, or measured
+//! before counts are converted to the DIF.
 //!
 //! Counts are converted to the DIF only after all pages are complete, so mu0 is measured on all
-//! pages. Only the counting indicator needs it; the density of clouds follows from the particles'
+//! pages. Only the counting indicator needs mu0; the density of clouds follows from the particles'
 //! spacing.
 
 use thiserror::Error;

@@ -27,7 +27,7 @@ use crate::field::recipe::Filters;
 use crate::grid::units::{Isovalue, MeanCount};
 use crate::system::control::{Control, Stage};
 
-/// The fraction of [`Stage::Meshing`] that a calibration takes.
+/// The fraction of the progress of [`Stage::Meshing`] that a calibration accounts for.
 pub const CALIBRATING: f64 = 0.1;
 
 /// A calibration, measured or given. Frames with the same calibration have comparable surfaces.

@@ -8,8 +8,8 @@
 //! spacings count as fluid, because randomly placed particles leave such cubes empty even in the
 //! middle of the fluid.
 //!
-//! Without an interior (spray, a sheet, a handful of particles), the value expected of a fluid of
-//! the same spacing is used.
+//! If a frame has no interior, for example because it contains only spray, a sheet or a handful of
+//! particles, the plateau is the value expected of a fluid of the same spacing.
 
 use serde::{Deserialize, Serialize};
 
@@ -25,16 +25,16 @@ use super::expected::expected;
 use super::histogram::Histogram;
 use super::interior::{BlurredSamples, Interior};
 
-/// The maximum number of blocks in a sample of a frame's blocks. They are chosen at equal steps
-/// along the Morton curve.
+/// The maximum number of blocks in a sample of a frame's blocks. The blocks are chosen at equal
+/// steps along the Morton curve.
 const SAMPLED_BLOCKS: usize = 64;
 
 /// The minimum interior volume, in cubed spacings, in the middles of the sampled blocks. If the
 /// interior is smaller, whole blocks are examined.
 const ENOUGH: f64 = (1 << 16) as f64 * 8.0 / 27.0;
 
-/// The minimum interior volume of a frame, in cubed spacings. If the interior is smaller, one clump
-/// of particles would determine the result.
+/// The minimum interior volume of a frame, in cubed spacings. In a smaller interior, one clump of
+/// particles would determine the result.
 const LEAST: f64 = 256.0;
 
 /// The sizes of gaps that count as fluid, in spacings. Each size comes with the minimum plateau of
@@ -54,8 +54,8 @@ pub enum Plateau {
         /// interior would contain bubbles.
         lowest: u16,
     },
-    /// Almost no fluid is deeper than the reach of the filters, so the value is the one expected of
-    /// a fluid of the same spacing.
+    /// Almost no fluid is deeper than the reach of the filters, so the plateau is the value
+    /// expected of a fluid of the same spacing.
     Shallow {
         /// The mean of the field deep in such a fluid.
         expected: u16,
@@ -127,8 +127,9 @@ impl Plateau {
             apply: &|block, walls| smoothing.apply(block, walls),
             meter,
         };
-        // Any interior is accepted if the spacing is unknown, because then there is no expected
-        // value, and for the symmetry indicator, which does not count particles.
+        // The minimum plateau is not checked if the spacing is unknown, because then there is no
+        // expected value. It is not checked for the symmetry indicator either, because this
+        // indicator does not count particles.
         let counted = spacing.filter(|_| indicator.kind().counts());
         let volume = cells * cells * cells;
         let (enough, least) =

@@ -347,8 +347,8 @@ pub fn greatest_of(samples: &[u16]) -> u16 {
     greatest
 }
 
-/// The smallest box around the cells in `cells` whose sample in `near` exceeds `begin`: a nearby
-/// particle lies more than `begin` outside the calm surface.
+/// The smallest box around those of the `cells` whose sample in `near` exceeds `begin`. Near these
+/// cells, a particle lies more than `begin` outside the calm surface.
 ///
 /// # Panics
 /// If `near` does not cover `cells`.

@@ -23,7 +23,7 @@ const CUT: f64 = 2.2;
 /// The standard deviation of the Gaussian that averages the difference between the fine and the
 /// calm surface, as a multiple of the requested width.
 const AROUND: f64 = 0.5625;
-/// The cut-off of this Gaussian, in standard deviations.
+/// The cut-off of the Gaussian that averages the difference, in standard deviations.
 const AROUND_CUT: f64 = 1.7;
 /// Limits, in spacings, of the mean difference between the fine and the calm surface. A difference
 /// up to the first limit is noise, and from the second limit on it is shape.
@@ -37,7 +37,8 @@ pub(in crate::field) const LEAST_VARIANCE: f64 = 0.35;
 /// The minimum variances, in squared cells, of the filters of the three widths. They make the
 /// filters differ even in coarse cells.
 const LEAST_VARIANCES: [f64; 3] = [LEAST_VARIANCE, 0.85, 1.75];
-/// The maximum standard deviation of drops, in spacings. It limits drops in coarse cells.
+/// The maximum standard deviation of drops, in spacings. It limits the width of drops in coarse
+/// cells.
 const WIDEST_DROP: f64 = 8.0;
 /// The distance from a particle, in spacings, within which the bulk has a surface, and within which
 /// the particle's drop is computed if the particle stands out.
@@ -54,10 +55,10 @@ const DROP_WIDTH: f64 = 0.6;
 const DROP_RADIUS: f64 = 0.55;
 /// The drop radius, in spacings, decreases by one of these numbers times the squared edge of a cell
 /// in spacings. The first number is for drops without refinement by splines, and the second is for
-/// drops with it. This decrease corrects for the wider clouds in coarse cells, and for the splines.
-/// The drop of one particle then has a volume of 0.99 cubed spacings in cells of 1/8 of a spacing,
-/// and of 0.94 in cells of 1/4. In cells of 1/3 to 2/3 of a spacing, the volume is about 0.8 and
-/// depends on the particle's position.
+/// drops with refinement. This decrease corrects for the wider clouds in coarse cells, and for the
+/// splines. The drop of one particle then has a volume of 0.99 cubed spacings in cells of 1/8 of a
+/// spacing, and of 0.94 in cells of 1/4. In cells of 1/3 to 2/3 of a spacing, the volume is about
+/// 0.8 and depends on the particle's position.
 const LESS_RADIUS: [f64; 2] = [0.29, 0.41];
 /// The minimum drop radius, in spacings, for cells that hardly resolve a single particle.
 const LEAST_DROP_RADIUS: f64 = 0.38;
@@ -67,8 +68,8 @@ const DROP_CUT: f64 = 2.6;
 /// The variance, in squared wide cells, of the spline that interpolates wide cells.
 pub(in crate::field) const SPLINE: f64 = 0.25;
 
-/// All parameters of distances from clouds. The plateau is the nominal one unless `with_plateau`
-/// sets a measured one.
+/// All parameters of distances from clouds. The plateau is nominal unless `with_plateau` sets a
+/// measured plateau.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct DistanceFilters {
     /// The calm surface is computed on wide cells. Each has 2^`level` cells along an axis.
@@ -81,8 +82,9 @@ pub struct DistanceFilters {
     pub least: u16,
     /// The distances from the calm surface at which drops and sheets fade in.
     pub stands_out: StandsOut,
-    /// Drops are computed on cells 2^`drops_level` times as wide as the grid's cells: half as wide
-    /// as wide cells, or the grid's own cells if these are the wide cells.
+    /// Drops are computed on cells 2^`drops_level` times as wide as the grid's cells. These cells
+    /// are half as wide as wide cells. If the wide cells are the grid's own cells, drops are
+    /// computed on the grid's cells.
     pub drops_level: u32,
     /// The parameters of drops.
     pub drops: Drops,
@@ -171,8 +173,7 @@ impl DistanceFilters {
         }
     }
 
-    /// Sets the plateau to a measured one: the sample deep in the fluid, smoothed with the
-    /// narrowest width.
+    /// Sets a measured plateau: the sample deep in the fluid, smoothed with the narrowest width.
     #[must_use]
     pub fn with_plateau(mut self, plateau: u16) -> Self {
         self.bulk.scale = scale(plateau.into());
@@ -180,7 +181,8 @@ impl DistanceFilters {
     }
 
     /// Replaces the filters of drops and sheets by filters for particles that are `spacing` cells
-    /// apart. This is for callers that use splines to interpolate drops and sheets on a finer mesh.
+    /// apart. Callers need these filters if they use splines to interpolate drops and sheets on a
+    /// finer mesh.
     #[must_use]
     pub fn refining(self, sheets: SheetStretch, spacing: f64) -> Self {
         let (drops, sheets) = thin_fluid(sheets, spacing, true);

@@ -5,8 +5,8 @@
 //! least 0.85 of the number of particles that the plateau implies. A brick is inside if it and its
 //! 26 neighbours are full. In inside bricks, the field has its maximum at every stage, so that
 //! meshes stay closed even if the fluid has bubbles in these bricks. Cubes slide in steps of two
-//! wide cells, so a bubble is found at any position: a bubble with a radius of two spacings takes
-//! up at least a quarter of one of the cubes.
+//! wide cells. At any position, a bubble with a radius of two spacings takes up at least a quarter
+//! of one of the cubes, so this cube is not full.
 
 use glam::{IVec3, USizeVec3};
 use hashbrown::HashMap;
@@ -69,8 +69,8 @@ impl<T: Copy> Cube<T> {
     fn joined(self, width: usize, both: impl Fn(T, T) -> T) -> Self {
         let Self { edge, mut values } = self;
         let left = edge + 1 - width;
-        // This works in place, because later values are still unchanged. Values of cubes that would
-        // reach beyond the end of a row are dropped.
+        // The values can be replaced in place, because the loop reads only values that it has not
+        // changed yet. Values of cubes that would reach beyond the end of a row are dropped.
         for step in [1, edge, edge * edge] {
             for at in 0..values.len() {
                 let further = (1..width).map_while(|k| values.get(at + k * step).copied());

@@ -1,5 +1,5 @@
-//! Tables of functions, so that all machines use the same values. Each table has 1024 equal steps.
-//! The last value is repeated, so that it also has a next value.
+//! Tables of function values, so that all machines use the same values. Each table has 1024 equal
+//! steps. The last value is stored twice, because interpolation also reads the next value.
 
 /// The inverse of the standard normal distribution function, in 8192ths, for shares from 0 to 1
 /// that are limited to the range from 0.0002 to 0.9998.

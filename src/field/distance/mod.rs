@@ -13,18 +13,18 @@
 //!    because splines blur. Three widths are used: 5/8 S, S and 3/2 S, where S is `--smooth`. They
 //!    give a fine surface E(5/8 S, S) and a calm surface E(S, 3/2 S).
 //! 3. Mixed. The difference between the two surfaces is averaged by a Gaussian of 9/16 S, which
-//!    cancels noise and keeps shape. As this mean difference grows from 0.07 to 0.14 d, the fine
-//!    surface replaces the calm one. From 0.3 to 0.9 d below the calm surface, the fine surface
-//!    fades out again, because noise would form bubbles in it there.
+//!    cancels noise and preserves shape. As this mean difference grows from 0.07 to 0.14 d, the
+//!    fine surface replaces the calm surface. From 0.3 to 0.9 d below the calm surface, the fine
+//!    surface fades out again, because noise would form bubbles in the fine surface at this depth.
 //! 4. Drops. Normalised convolution: N = G * (rho / (G * rho)), where rho is the clouds' density
 //!    and G a Gaussian of 0.6 d. N of a single particle peaks at 1 in cells of any size, and the
 //!    particle's drop is a ball of radius r, with the signed distance r - 0.6 sqrt(2 ln(1 / N)). N
 //!    is computed on cells half as wide as wide cells. If the wide cells are the grid's own cells,
 //!    N is computed on these cells. Values of N are called shares, and are stored in 32768ths.
 //! 5. Joined. A particle stands out if its centre lies outside the calm surface, by the distance O
-//!    = -E(S, 3/2 S) of its wide cell. The greatest O within a spacing determines to what degree
-//!    drops replace the bulk's surface: not at all up to 0.4 d, and completely from 1 d on. Where
-//!    the fine and the calm surface differ, [sheets](super::sheets) stand out up to 0.35 d earlier.
+//!    = -E(S, 3/2 S) of its wide cell. The degree to which drops replace the bulk's surface depends
+//!    on the greatest O within a spacing. The degree is 0 up to 0.4 d, and 1 from 1 d on. Where the
+//!    fine and the calm surface differ, [sheets](super::sheets) stand out up to 0.35 d earlier.
 //!    Where no particle is near, there is no surface.
 //!
 //! All blurs use [`blur`](super::blur), quadratic B-splines interpolate wide cells, and ramps are 3
@@ -99,9 +99,9 @@ pub struct Bulk {
     /// The three widths, narrowest first.
     pub widths: [Width; 3],
     /// Two factors, in 4096ths. A width of smoothing gives a distance. The distance for width 0 is
-    /// extrapolated from two widths: it is the distance of the narrower one, plus a factor times
-    /// the difference between their distances. The first factor is for the two narrower widths, the
-    /// second for the two wider ones.
+    /// extrapolated from two widths. It is the distance for the narrower width, plus a factor times
+    /// the difference between the distances for the narrower and the wider width. The first factor
+    /// is for the two narrowest widths, and the second is for the two widest widths.
     pub shares: [i32; 2],
     /// The factor that converts samples to fractions of the plateau: sample * factor / 16384 is the
     /// fraction in 32768ths.

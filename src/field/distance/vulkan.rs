@@ -31,23 +31,23 @@ pub const CUBE_WORDS: u32 = (MOST_PARTS + 1 - WIDEST_CUBE).pow(3).div_ceil(u32::
 /// Shaders that compute distances.
 #[derive(Debug)]
 pub struct DistancePipelines {
-    /// The calm and the fine surface of the bulk, and the difference between them.
+    /// Computes the calm and the fine surface of the bulk, and the difference between them.
     pub depths: Arc<ComputePipeline>,
     /// Blends the calm and the fine surface to the surface of the bulk.
     pub mix: Arc<ComputePipeline>,
-    /// The distance by which particles lie outside the calm surface.
+    /// Computes the distance by which particles lie outside the calm surface.
     pub outlying: Arc<ComputePipeline>,
-    /// The greatest nearby sample, along one axis.
+    /// Finds the greatest nearby sample along one axis.
     pub spread: Arc<ComputePipeline>,
     /// Interpolates wide cells.
     pub refine: Arc<ComputePipeline>,
     /// Searches wide cells for a surface, and for particles that stand out.
     pub probe: Arc<ComputePipeline>,
-    /// The density of clouds, divided by the smoothed density.
+    /// Divides the density of clouds by the smoothed density.
     pub quotient: Arc<ComputePipeline>,
-    /// The surface of the bulk, blended with drops.
+    /// Blends the surface of the bulk with drops.
     pub join: Arc<ComputePipeline>,
-    /// The full bricks, which determine the deep inside.
+    /// Finds the full bricks, which determine the deep inside.
     pub full_bricks: Arc<ComputePipeline>,
 }
 
@@ -202,7 +202,7 @@ impl RegionProbe {
         Self { lo: cells.lo.to_array(), block, size: cells.size().as_uvec3().to_array(), spare: 0 }
     }
 
-    /// The box around the cells near which particles stand out; `None` if there are none.
+    /// The box around the cells near which particles stand out; `None` if there are no such cells.
     pub fn outlying(&self, result: &ProbeResult) -> Option<CellBox> {
         let at = |place: [u32; 3]| IVec3::from(self.lo) + UVec3::from(place).as_ivec3();
         (result.lo[0] <= result.hi[0]).then(|| CellBox { lo: at(result.lo), hi: at(result.hi) + 1 })

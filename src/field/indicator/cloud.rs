@@ -296,7 +296,7 @@ const fn edge(side: BrickSide) -> usize {
 const BATCH: usize = 32;
 
 /// Adds the clouds of particles to bricks with `EDGE` samples along an axis. Each update writes a
-/// row of four samples, of which the last stays unchanged.
+/// row of four samples, and leaves the last of them unchanged.
 #[multiversion(targets(
     "x86_64+avx512f+avx512bw+avx512vl+avx512dq",
     "x86_64+avx2+bmi1",

@@ -58,9 +58,9 @@ impl SampledDif {
         WideCells::of_spacing(self.facts.spacing_cells_or_one())
     }
 
-    /// The samples of cells 2^`level` times as wide. Level 0 has the samples themselves; other
-    /// levels exist for clouds, up to the frame's [wide cells](Self::wide_cells) and
-    /// [more](Self::with_more_levels).
+    /// The samples of cells 2^`level` times as wide. Level 0 contains the samples themselves.
+    /// Clouds also have the levels up to the frame's [wide cells](Self::wide_cells) and the [levels
+    /// beyond](Self::with_more_levels).
     ///
     /// # Panics
     /// If there is no such level.
@@ -79,8 +79,8 @@ impl SampledDif {
         self.wide.get().unwrap_or_else(|| {
             let levels = self.halved();
             // Two threads may compute the levels at the same time. A lock would prevent this, but
-            // could cause a deadlock: while the thread that holds the lock waits for parallel work,
-            // it may run another task, which may wait for the same lock.
+            // could cause a deadlock. While the thread that holds the lock waits for parallel work,
+            // it may run another task, and this task may wait for the same lock.
             self.wide.get_or_init(|| levels)
         })
     }

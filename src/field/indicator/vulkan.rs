@@ -32,9 +32,9 @@ pub struct BinEntry {
 /// Shaders that make pages.
 #[derive(Debug)]
 pub struct IndicatorPipelines {
-    /// Cell sums and the indicator, one octant of a bin per work group.
+    /// Computes cell sums and the indicator. Each work group handles one octant of a bin.
     pub indicate: Arc<ComputePipeline>,
-    /// Clouds, one part of a bin's samples per work group.
+    /// Computes clouds. Each work group handles one part of a bin's samples.
     pub clouds: Arc<ComputePipeline>,
 }
 

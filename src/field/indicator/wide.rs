@@ -4,7 +4,7 @@
 use super::Amount;
 
 /// The minimum edge, in spacings, of the cells on which the calm surface is computed. Finer cells
-/// are merged first.
+/// are merged into wider cells first.
 const LEAST_WIDE: f64 = 0.55;
 
 /// The width of a frame's wide cells.

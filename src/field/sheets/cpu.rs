@@ -58,10 +58,10 @@ fn weigh(clouds: &mut [u16], smooth: &mut [u16], scale: u32) {
     }
 }
 
-/// Finds the sheets of the smoothed density on `cells`; returns `None` if there are none. Beyond
-/// the cells of `density`, the density counts as too low for sheets. If `needed` is given,
-/// certainty is computed only where `needed` is nonzero. Shares are computed only near cells with
-/// certainty, within the reach of the averaging filter.
+/// Finds the sheets of the smoothed density on `cells`; returns `None` if there are no sheets.
+/// Beyond the cells of `density`, the density counts as too low for sheets. If `needed` is given,
+/// certainty is computed only where `needed` is nonzero. Shares are valid only near cells of
+/// nonzero certainty, within the reach of the averaging filter.
 ///
 /// # Panics
 /// If `needed` does not cover `cells`, or if `density` does not extend one step beyond each of the

@@ -4,18 +4,20 @@
 //! single particles no longer touch. The density alone shows whether there is such a sheet, where
 //! it lies, and how thick it is.
 //!
-//! 1. Loose. A sheet can stand on water, which would hide its foot. So clouds in the bulk have the
-//!    weight 0. The density under a Gaussian that is cut off early shows whether a cell is in the
-//!    bulk, because this density is lower in free sheets of one or two layers. The density of
-//!    sheets is the smoothed product of clouds and weights, divided by the smoothed weights. A
-//!    sheet therefore continues into the bulk, instead of having a rim there.
+//! 1. Loose. A sheet can rise from the bulk, and the density of the bulk would hide the lower end
+//!    of the sheet. Therefore, clouds in the bulk have the weight 0. The density under a Gaussian
+//!    that is cut off early shows whether a cell is in the bulk, because this density is lower in
+//!    free sheets of one or two layers. The density of sheets is the smoothed product of clouds and
+//!    weights, divided by the smoothed weights. A sheet therefore continues into the bulk, instead
+//!    of having a rim there.
 //! 2. Shape. Let rho be this density, smoothed by a Gaussian of width s in wide cells and
 //!    interpolated by splines, and let L be the logarithm of rho. The first and second derivatives
 //!    of L are the moments of the particles under that Gaussian: s^2 grad L is their mean offset,
-//!    and s^2 (I + s^2 Hess L) their covariance. With g = s grad L and B = -s^2 Hess L, an
-//!    eigenvalue of B is 1 across a sheet or a filament, where the particles have no width, and 0
-//!    along it, where the density does not change. s is the width of the Gaussian before it is cut
-//!    off, because the cut changes only its tails.
+//!    and s^2 (I + s^2 Hess L) their covariance. Let g = s grad L and B = -s^2 Hess L. The
+//!    eigenvalues of B are 1 in directions across a sheet or a filament, because the particles have
+//!    no width there. They are 0 in directions along the sheet or the filament, because the density
+//!    does not change there. s is the width of the Gaussian before it is cut off, because the cut
+//!    changes only its tails.
 //! 3. Distance. The middle of the sheet lies at the offset s (2 B - B^2) g from the cell. Along the
 //!    sheet this offset is 0, and across it, it is the mean offset. At a rim, the eigenvalues of B
 //!    are in between, so the distance to the middle grows smoothly there.
@@ -48,7 +50,7 @@
 //!    particles stand out.
 //!
 //! Derivatives are differences of logarithms over about a spacing, which are exact for Gaussians.
-//! Everything is integer arithmetic: numbers have 12 fraction bits unless stated otherwise, and
+//! All arithmetic uses integers. Numbers have 12 fraction bits unless stated otherwise, and
 //! logarithms are binary. Signed numbers are divided towards 0, so that a mirrored frame has a
 //! mirrored surface.
 
@@ -77,7 +79,7 @@ pub const ONE: i32 = 1 << BITS;
 
 /// The width of the Gaussian that reveals the shape of the surroundings, in spacings.
 const WIDTH: f64 = 1.5;
-/// The cut-off of this Gaussian, in standard deviations.
+/// The cut-off of the Gaussian that reveals the shape, in standard deviations.
 const CUT: f64 = 2.6;
 /// The standard deviation, in spacings, of the Gaussian that averages certainty. The narrowest
 /// filter has the weights 1:2:1.
@@ -98,7 +100,8 @@ const LEAST_MOST: f64 = 1.0;
 /// A thickness is increased if its log2 R^2 differs from that of the minimum by less than this
 /// number divided by the mesh's cell in spacings.
 const GRADUAL: f64 = 0.55;
-/// The maximum of this difference, which applies in fine cells.
+/// The maximum of the quotient of [`GRADUAL`] and the mesh's cell in spacings. It applies in fine
+/// cells.
 const MOST_GRADUAL: f64 = 4.0;
 /// Sheets have faded out completely where their stretch is this factor times the requested maximum.
 const GONE: f64 = 1.12;
@@ -107,11 +110,11 @@ const GONE: f64 = 1.12;
 const FILAMENTS_FARTHER: f64 = 1.08;
 /// The width of the Gaussian that shows the bulk, in spacings.
 pub(in crate::field) const BULK_WIDTH: f64 = 1.45;
-/// The cut-off of this Gaussian, in standard deviations. The cut keeps the reach of sheets short,
-/// and hardly matters for the density of the bulk.
+/// The cut-off of the Gaussian that shows the bulk, in standard deviations. The cut keeps the reach
+/// of sheets short, and hardly matters for the density of the bulk.
 pub(in crate::field) const BULK_CUT: f64 = 1.5;
-/// The range of this Gaussian's density in which the weight of clouds falls to 0, in 32768ths of
-/// the plateau.
+/// The range of the density under the Gaussian that shows the bulk, in 32768ths of the plateau.
+/// Over this range, the weight of clouds falls to 0.
 pub const IN_BULK: Ramp = Ramp::in_plateaus([0.34, 0.4]);
 /// Number of fraction bits of the weights by which a density is divided.
 pub const WEIGHT_BITS: u32 = 15;
@@ -146,8 +149,8 @@ pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
 /// The maximum difference between the density's natural logarithms at the middle and at the cell.
 const MOST_MORE: f64 = 0.7;
 
-/// The parameters for joining sheets. The density is computed on wide cells and interpolated on the
-/// narrower cells of drops.
+/// The parameters for computing sheets. The density is computed on wide cells and interpolated on
+/// the narrower cells of drops.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheets {
     /// The filter that shows the bulk, in wide cells, with the gain of the bulk's own filters.
@@ -176,8 +179,8 @@ pub struct Loose<F> {
 /// The sheets in some cells.
 #[derive(Debug, Clone)]
 pub struct SheetFields<F> {
-    /// Shares of sheets, in 32768ths, comparable with the shares of drops. They are valid near
-    /// cells with certainty, within the reach of the averaging filter.
+    /// Shares of sheets, in 32768ths, comparable with the shares of drops. The shares are valid
+    /// near cells of nonzero certainty, within the reach of the averaging filter.
     pub shares: F,
     /// The certainty of the sheets, in 4096ths.
     pub certainty: F,
@@ -200,8 +203,8 @@ pub struct SheetConstants {
     pub plateau: i32,
     /// The maximum increase of the density's natural logarithm from a cell to the middle.
     pub most_more: i32,
-    /// log2 R^2 minus a multiple of the density's logarithm: for sheets (2 times), filaments (1
-    /// time) and drops (2/3 times).
+    /// Three values of log2 R^2 minus a multiple of the density's logarithm. The multiple is 2 for
+    /// sheets, 1 for filaments and 2/3 for drops.
     pub sizes: [i32; 3],
     /// The logarithm of the minimum R^2.
     pub least_size: i32,
@@ -212,8 +215,8 @@ pub struct SheetConstants {
     pub gradual: i32,
     /// 1 / (4 `gradual`).
     pub by_gradual: i32,
-    /// The logarithm of the stretch, plus half of the density's logarithm for sheets, and plus all
-    /// of it for filaments.
+    /// The logarithm of the stretch, plus half of the density's logarithm for sheets, or plus the
+    /// whole logarithm for filaments.
     pub stretches: [i32; 2],
     /// The constant term of the logarithm of a share: log2 share = `share` + `by_directions` T +
     /// `by_size` R^2 - `by_distance` a^2, where a is the distance from the middle in units of s

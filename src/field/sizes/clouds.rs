@@ -96,8 +96,8 @@ impl<'a> LayerPages<'a> {
         for bin in group {
             let contents = self.bins.contents(bin)?;
             let coord = self.bins.keys()[bin].coord();
-            // The size of a particle is computed from its last attribute or, if this is the density
-            // for a mass, from the last two.
+            // The size of a particle is computed from its last attribute or, if the last two
+            // attributes are mass and density, from both.
             let numbers = &contents.attributes[contents.attributes.len().saturating_sub(2)..];
             let number = |at: usize| [0, 1].map(|i| numbers.get(i).map_or(0.0, |all| all[at]));
             // Neighbouring particles often have the same size, so the share of the previous
@@ -148,7 +148,7 @@ impl SizedClouds {
     pub fn new(layers: Vec<Layer>) -> Self {
         assert!(!layers.is_empty(), "there are no octaves");
         // Every coarser octave also uses a layer's clouds, in its own wide cells, so the layer
-        // needs one more level for each.
+        // needs one more level for each coarser octave.
         let coarser = (0..layers.len() as u32).rev();
         let with_levels = |(layer, coarser): (Layer, u32)| Layer {
             volume: layer.volume.with_more_levels(coarser),

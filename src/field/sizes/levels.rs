@@ -2,8 +2,8 @@
 //!
 //! Blocks form an octree: a block of level k has 32^3 cells, each 2^k times as wide as the finest
 //! cells. A block is divided into blocks of level k - 1 in two cases: particles of octave k - 1 are
-//! near it, or a block of level k - 1 in it or next to it is divided. So the levels of blocks that
-//! touch differ by at most one.
+//! near it, or a block of level k - 1 in it or next to it is divided. Therefore, the levels of
+//! blocks that touch differ by at most one.
 
 use glam::IVec3;
 use hashbrown::{HashMap, HashSet};

@@ -27,8 +27,9 @@ pub fn share(part: &Block, all: &Block, of_none: u32) -> Block {
 }
 
 /// Mixes the distances of an octave with the distances of the next coarser octave, weighted by the
-/// `shares` of the coarser octave. Both distances are in spacings of the finer octave. Where only
-/// one of the two fields has a particle nearby, the result is the sample of that field.
+/// `shares` of the coarser octave. Both distances are in spacings of the finer octave. Where the
+/// share is 0, the result is the sample of `fine`. Elsewhere, if only one of the two fields has a
+/// particle nearby, the result is the sample of that field.
 ///
 /// # Panics
 /// If the fields are on different cells.
@@ -94,7 +95,8 @@ impl OctaveDrops<'_> {
     /// cells of the shares.
     ///
     /// # Panics
-    /// If the other fields are on different cells, or `field` does not cover them.
+    /// If the fields of `self` are not all on the same cells, or if `field` does not cover these
+    /// cells.
     #[must_use]
     pub fn joined(&self, mut field: Block) -> Block {
         let Self { octave, near, shares, certainty, sizes, drops, growth, stands_out } = *self;

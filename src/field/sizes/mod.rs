@@ -1,15 +1,14 @@
 //! Particles of several sizes: their clouds in octaves of the spacing, and one field for all.
 //!
 //! The size s of a particle is the edge of the cube that it fills: its own spacing. Octave k holds
-//! the particles of sizes from 2^k d up to twice that, where d is the smallest size. Each octave
-//! has its own grid, whose cells are 2^k times as wide as those of the mesh. The spacing of the
-//! octave, 2^k d, grows by the same factor, so the ratio of cell to spacing is the same in all
-//! octaves.
+//! the particles of sizes from 2^k d to 2^(k + 1) d, where d is the smallest size. Each octave has
+//! its own grid, whose cells are 2^k times as wide as those of the mesh. The spacing of the octave,
+//! 2^k d, grows by the same factor, so the ratio of cell to spacing is the same in all octaves.
 //!
 //! 1. Clouds. In its octave, a particle's cloud is weighted by the particle's volume: its amount is
 //!    (s / (2^k d))^3 times half the usual [`Amount`]. The density of an octave is the sum over all
 //!    particles: finer clouds are merged into wider cells, and quadratic B-splines interpolate
-//!    coarser ones.
+//!    coarser clouds.
 //! 2. Field. Each octave turns its density into [distances](super::distance), in its own spacings
 //!    and with the filters for particles of a single size.
 //! 3. Mixed. A particle's size lies between two octaves, at log2(s / d). Under a Gaussian of 1.5
@@ -40,19 +39,19 @@ use crate::field::distance::{UNITS, gaussian};
 use crate::field::indicator::{Amount, IndicatorKind, WideCells};
 use crate::grid::MOST_LEVELS;
 
-/// The maximum number of octaves: sizes are at most 64 times the smallest.
+/// The maximum number of octaves, which limits sizes to 64 times the smallest size.
 pub const MOST_OCTAVES: usize = MOST_LEVELS;
 
 /// The width of the Gaussian that averages sizes, in spacings of the octave.
 const MIXED: f64 = 1.5;
-/// The cut-off of this Gaussian, in standard deviations.
+/// The cut-off of the Gaussian that averages sizes, in standard deviations.
 const MIXED_CUT: f64 = 2.6;
-/// The gain of densities that this Gaussian smooths, in bits.
+/// The gain of the filter that averages sizes, in bits.
 const MIXED_GAIN: u32 = 2;
 
-/// The growth of a drop's nominal radius from a size to twice that size, in spacings of the octave:
-/// the first number, plus the second divided by the squared spacing in cells. This growth gives
-/// each drop about the volume of its particle.
+/// The growth of a drop's nominal radius from a size to twice that size, in spacings of the octave,
+/// is the first number plus the second number divided by the squared spacing in cells. This growth
+/// gives each drop about the volume of its particle.
 const GROWTH: [f64; 2] = [0.65, 0.3];
 
 /// The growth of the radius of drops within an octave, in units of distance.
@@ -118,8 +117,8 @@ impl Octaves {
     /// size inside them, but particles below the smallest size keep their volume.
     #[must_use]
     pub fn share(&self, size: f64) -> CloudShare {
-        // The factor keeps rounded sizes that are a power of two times the finest from falling into
-        // the octave below.
+        // Without this factor, rounding errors could move a size that is a power of two times the
+        // finest size into the octave below.
         let mut ratio = (size / self.finest * (1.0 + 1e-6)).max(1.0);
         let mut octave = 0;
         while octave + 1 < self.count && ratio >= 2.0 {

@@ -28,14 +28,15 @@ const LEAST_SUM: f64 = 0.004;
 const STIFFNESS: f64 = 0.01;
 /// Number of different sums along x.
 const ALONG_X: usize = 5;
-/// For each sum of a [`Plane`], the sum along x that it adds up, and the power of y in its terms.
+/// For each sum of a [`Plane`]: the index of the sum along x that is added up along y, and the
+/// power of y by which each term is multiplied.
 const ALONG_Y: [(usize, usize); 9] =
     [(0, 0), (1, 0), (2, 0), (0, 1), (1, 1), (0, 2), (3, 0), (4, 0), (3, 1)];
 
 /// Sums along x and y, at all cells of a box with the same z coordinate, with x varying fastest.
-/// Let u be the share of a cell, and f the product of its share and its density. The sums are those
-/// of u, u x, u x^2, u y, u x y, u y^2, f, f x and f y, times the weights along x and y. x and y
-/// are relative to the cell to which the sum belongs.
+/// Let u be the share of a cell, and f the product of its share and its density. The summed terms
+/// are u, u x, u x^2, u y, u x y, u y^2, f, f x and f y, each multiplied by the weights along x and
+/// y. Here, x and y are relative to the cell to which the sum belongs.
 type Plane = [Vec<f64>; ALONG_Y.len()];
 
 /// Fits linear functions to the densities of the cells outside a solid. The cells' z coordinates
@@ -45,7 +46,7 @@ pub struct LinearFit<'a> {
     usable: &'a Block,
     /// For each cell, the greatest density among the usable cells within the Gaussian's reach.
     greatest: Block,
-    /// The weights, times the distance from the centre to the power of 0, 1 and 2.
+    /// The weights, multiplied by the signed distance from the centre to the power of 0, 1 and 2.
     weights: [Vec<f64>; 3],
     stiffness: f64,
     /// The latest planes, in ascending order of z.
@@ -134,7 +135,7 @@ impl<'a> LinearFit<'a> {
         self.weights[0].len() as i32 / 2
     }
 
-    /// Makes `planes` the planes whose z coordinates are within reach of `z`.
+    /// Makes `planes` contain exactly the planes whose z coordinates are within reach of `z`.
     fn make_planes_around(&mut self, z: i32) {
         let (first, end) = (z - self.reach(), z + self.reach() + 1);
         while self.next < end {

@@ -7,18 +7,19 @@
 //! that grows from 0 to 1 as w falls from 1 to 0.9. The density that is blended in is the value, at
 //! the cell, of the linear function that best fits rho / w under a Gaussian of 1 d (moving least
 //! squares, Lancaster and Salkauskas 1981). Over the same range of w, the weights of the fit fall
-//! from 1 to 0. At a sloping solid, a mean would bend the level surface of the fluid, and so would
-//! a fit to cells that are mostly solid. Where too little fluid is within reach of the fit, as deep
-//! in a solid or in a narrow channel, (1 - w) times the mean of rho under a Gaussian of 2.5 d is
-//! added to rho (normalised convolution). So the bulk does not end at a solid: its surface
-//! continues straight into the solid. Afterwards, the field is limited to the distance from the
-//! solid minus the solid's offset.
+//! from 1 to 0. At a sloping solid, a mean would bend the level surface of the fluid, and a fit to
+//! cells that are mostly solid would bend it as well. Where too little fluid is within reach of the
+//! fit, for example deep in a solid or in a narrow channel, (1 - w) times the mean of rho under a
+//! Gaussian of 2.5 d is added to rho (normalised convolution). Therefore, the bulk does not end at
+//! a solid. Its surface continues straight into the solid. Afterwards, the field is limited to the
+//! distance from the solid minus the solid's offset.
 //!
-//! Only thick fluid is continued. A thin film on a solid would otherwise look like the surface of a
-//! half space, whose level changes with the film's density. Without a continuation, the film is a
-//! sheet (see [`sheets`](super::sheets)), and stays whole when it stretches. Fluid is thick if the
-//! density under a Gaussian of 1.45 d exceeds 0.4 to 0.55 of the plateau anywhere within 2 d, or if
-//! the mean under the Gaussian of 2.5 d exceeds 0.65 to 0.85 of the plateau.
+//! Only thick fluid is continued. If a thin film on a solid were continued, it would look like the
+//! surface of a half space, and the level of this surface would change with the film's density.
+//! Without a continuation, the film is a sheet (see [`sheets`](super::sheets)), and stays whole
+//! when it stretches. Fluid is thick if the density under a Gaussian of 1.45 d exceeds 0.4 to 0.55
+//! of the plateau anywhere within 2 d, or if the mean under the Gaussian of 2.5 d exceeds 0.65 to
+//! 0.85 of the plateau.
 //!
 //! Each cell has its own sums, whose terms are always added in the same order, so the result does
 //! not depend on the block in which it is computed.
@@ -39,11 +40,11 @@ use fit::LinearFit;
 const USABLE: u16 = WHOLE / 10 * 9;
 /// The standard deviation of the Gaussian for the linear fit, in spacings.
 const FIT: f64 = 1.0;
-/// The cut-off of this Gaussian, in standard deviations.
+/// The cut-off of the Gaussian for the linear fit, in standard deviations.
 const FIT_CUT: f64 = 2.5;
 /// The standard deviation of the Gaussian for means, in spacings.
 const MEAN: f64 = 2.5;
-/// The cut-off of this Gaussian, in standard deviations.
+/// The cut-off of the Gaussian for means, in standard deviations.
 const MEAN_CUT: f64 = 2.2;
 /// The gain, in bits, of the smoothed density. It equals the bulk's gain.
 const GAIN: u32 = 2;
@@ -58,9 +59,10 @@ const IS_THICK: Ramp = Ramp::in_plateaus([0.4, 0.55]);
 /// The range of the mean density under the Gaussian of [`MEAN`] in which fluid begins to count as
 /// thick, even around cells that are deep in a solid.
 const IS_THICK_IN_MEAN: Ramp = Ramp::in_plateaus([0.65, 0.85]);
-/// A mean needs at least this share of its Gaussian outside the solid; otherwise, it is 0.
+/// The minimum share of a mean's Gaussian that lies outside the solid. If less lies outside, the
+/// mean is 0.
 const MEAN_LEAST: u16 = WHOLE >> 7;
-/// Number of steps per cell edge in the distances from which shares are computed.
+/// Number of fixed-point steps per cell edge of the distances from which shares are computed.
 pub const STEPS: f64 = 4096.0;
 /// The reach of a cell's cloud from the cell's centre, in units of 1 / [`STEPS`] of an edge.
 pub const FARTHEST: i16 = 3 * 2048;

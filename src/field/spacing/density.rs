@@ -116,10 +116,10 @@ pub fn spacings(particles: &[[f64; 3]], bounds: &Bounds, enough_share: f64) -> O
 }
 
 /// A region counts as a separate resolution only if it has at least this share of the fluid's
-/// volume or of its particles.
+/// volume or of the fluid's particles.
 const REGION: f64 = 0.05;
-/// The minimum number of particles in a cell of a separate resolution: with fewer, the particles
-/// could be spray.
+/// The minimum number of particles in a typical cell of a separate resolution. With fewer particles
+/// per cell, the region could be spray.
 const ENOUGH_IN_CELL: usize = 4;
 /// More than this share of the cells of a separate resolution must have similar counts.
 const EVEN: f64 = 0.8;
@@ -139,8 +139,9 @@ struct InteriorCell {
 }
 
 impl InteriorCell {
-    /// Whether each neighbour holds between 0.45 and 2.2 times as many particles. The limits are
-    /// wide because the planes of a lattice fill some cells with twice as many particles as others.
+    /// Whether each neighbour holds between 0.45 and 2.2 times as many particles as this cell. The
+    /// limits are wide because the planes of a lattice fill some cells with twice as many particles
+    /// as others.
     fn is_even(&self) -> bool {
         20 * self.sparsest >= 9 * self.count && 9 * self.densest <= 20 * self.count
     }
@@ -200,9 +201,9 @@ fn two_of(mut inside: Vec<InteriorCell>, edge: f64) -> Option<[f64; 2]> {
 
 /// Numbers of particles per cell.
 enum CellCounts {
-    /// In a box of cells, x fastest.
+    /// For all cells of a box, x fastest.
     Listed { size: [usize; 3], counts: Vec<u32> },
-    /// For non-empty cells.
+    /// For non-empty cells only.
     Hashed(HashMap<IVec3, usize>),
 }
 

@@ -4,8 +4,8 @@
 //! Two estimates check each other. `density` counts particles in cells; the result is accurate in
 //! deep fluid, but too large in thin fluid with gaps. `neighbours` measures the density around
 //! single particles. If the two estimates agree, the result is the spacing from counting.
-//! Otherwise, or if no fluid is deep enough to count, the result comes from the neighbours. An
-//! unreliable [`SpacingEstimate`] is marked as thin.
+//! Otherwise, or if no fluid is deep enough to count, the result usually comes from the neighbours.
+//! An unreliable [`SpacingEstimate`] is marked as thin.
 //!
 //! Up to [`ALL`] particles are read once and held in memory. If there are more, the first reading
 //! takes an even sample for counting, and the second reading takes all particles in some cubes for
@@ -36,11 +36,10 @@ use sample::SHARE;
 pub const ALL: usize = 2 * SHARE;
 /// If there are more particles than this, a small sample is enough to confirm a count.
 const FEWEST_SAMPLED: usize = 1 << 12;
-/// Up to this number of particles, all of them are searched if a small sample does not confirm the
-/// count.
+/// If there are at most this many particles, and a small sample does not confirm the count, all
+/// particles are searched.
 const MOST_SEARCHED: usize = 1 << 15;
-/// The minimum share of the particles that must be in interior cells for the count of a sample to
-/// be used.
+/// The count of a sample is used only if at least this share of its particles is in interior cells.
 const ENOUGH_SHARE: f64 = 1.0 / 16.0;
 /// The minimum number of distinct positions for an estimate.
 const FEWEST: usize = 8;
@@ -49,7 +48,7 @@ const FEWEST: usize = 8;
 const LARGEST: f64 = 1e100;
 /// The minimum share of deep particles; with a smaller share, the fluid is thin.
 const THIN: f64 = 0.15;
-/// The minimum share of particles in evenly filled cells with which the fluid is certainly deep.
+/// If at least this share of the particles is in evenly filled cells, the fluid is certainly deep.
 const DEEP: f64 = 0.24;
 
 /// The evidence about the spacing that the particles' positions give.
@@ -320,7 +319,7 @@ impl SpacingDraft {
         let place = CoordinateFacts::of(&positions, &all);
         let particles = all.finite;
         // A layer may be too thin for interior cells in a sample of this size. The search for
-        // neighbours then decides.
+        // neighbours then determines the spacing.
         let counted = density::spacings(&positions, &bounds, ENOUGH_SHARE);
         let counted = counted.map(|counted| counted.scaled(libm::cbrt(part)));
         // Particles that cannot be counted may be sheets, in which distances are inversely
@@ -346,8 +345,8 @@ impl SpacingDraft {
         within(spacing / self.scale, 2.5)
     }
 
-    /// Reads the particles for a search for neighbours. They are read again at another scale if the
-    /// first scale turns out not to suit them. Returns `None` if the reading was cancelled.
+    /// Reads the particles for a search for neighbours. If the scale does not suit the particles,
+    /// they are read again at another scale. Returns `None` if the reading was cancelled.
     pub fn completed(mut self, particles: &dyn Particles) -> Option<Evidence> {
         const READINGS: u32 = 8;
         for _ in 1..READINGS {
@@ -375,8 +374,8 @@ impl SpacingDraft {
         Some(self.with_sample(in_cubes.sample()))
     }
 
-    /// Searches a sample for neighbours, as far as the check of the count needs them, and adds the
-    /// result.
+    /// Searches a sample for neighbours, and adds the result. Searches only a few cubes of the
+    /// sample if they confirm the count.
     pub fn with_sample(self, sample: NeighbourSample) -> Evidence {
         let neighbours = Neighbours::for_check(sample, self.counted());
         self.with(neighbours)
@@ -430,8 +429,8 @@ impl CoordinateFacts {
 }
 
 /// The step of coordinates that were rounded to single precision, at the distance `far` from the
-/// origin. Returns `None` if they were not rounded, or if they already were multiples of a larger
-/// step.
+/// origin. Returns `None` if the coordinates were not rounded, or if all of them are multiples of a
+/// larger step.
 fn step_of(coordinates: &[f64], far: f64) -> Option<f64> {
     let is_single = coordinates.iter().all(|&c| f64::from(c as f32) == c);
     let far = far as f32;
@@ -468,8 +467,9 @@ impl Evidence {
 
     /// Whether the particles fill deep fluid evenly but, as in a stretched or sheared lattice, at
     /// different distances along different axes. Neighbours then measure the distance along one
-    /// axis, while the count is right. In clumps of particles that are far apart, the count is
-    /// wrong, so the nearest neighbours must not be much closer than the count implies.
+    /// axis, while the count gives the right spacing. In clumps of particles that are far apart,
+    /// the count gives a wrong spacing, so the nearest neighbours must not be much closer than the
+    /// count implies.
     fn is_deep_lattice(&self) -> bool {
         let (Some(counted), Some([_, second, third, _])) = (self.counted, self.neighbours.nearest)
         else {

@@ -36,10 +36,10 @@ const CENTRED: f64 = 0.2;
 /// The minimum of 27 det / trace^3 of the second moments of surrounding neighbours. This measure is
 /// 1 if the moments are equal along all axes, and 0 in a plane.
 const ROUND: f64 = 0.5;
-/// Neighbours lie in a plane if the measure of [`ROUND`] is below this.
+/// Neighbours lie in a plane if the measure of [`ROUND`] is below this value.
 const FLAT: f64 = 0.2;
 /// Neighbours in a plane surround the particle if 4 (sum of principal minors) / trace^2 exceeds
-/// this. The measure is 1 in a disc, and 0 on a line.
+/// this value. The measure is 1 in a disc, and 0 on a line.
 const DISC: f64 = 0.6;
 /// Positions with a greater scatter than this are random. The scatter of random positions is 1;
 /// FLIP particles that were seeded eight per cell have a scatter of 0.8.
@@ -109,8 +109,9 @@ struct Neighbourhood {
 }
 
 impl Neighbours {
-    /// Searches a sample of a few cubes. Returns `None`, because more cubes are needed, if the
-    /// sample does not confirm `spacing`, has coincident particles, or may be randomly placed.
+    /// Searches a sample of a few cubes. Returns `None` if the sample does not confirm `spacing`,
+    /// has coincident particles, or may be randomly placed. In these cases, more cubes must be
+    /// searched.
     pub fn of_few(sample: NeighbourSample, spacing: f64) -> Option<Self> {
         let few = Self::of(sample);
         (few.confirms(spacing) && few.coincident == 0 && !few.may_be_random()).then_some(few)
@@ -232,8 +233,8 @@ impl Neighbours {
     }
 
     /// The spacing from the density around deep particles, and the share of such particles; `None`
-    /// if the spacing does not fit the distances to nearest neighbours, as in sheets or filaments
-    /// that are close together.
+    /// if the spacing does not fit the distances to nearest neighbours, for example in sheets or
+    /// filaments that are close together.
     pub fn measured(&self) -> Option<(f64, f64)> {
         let [_, second, third, _] = self.nearest?;
         let (spacing, share) = self.solid?;
@@ -261,13 +262,14 @@ impl Neighbours {
         agree(AGREED) && counted < most * by_third
     }
 
-    /// Whether the particles are placed randomly, as in spray. Particles of a fluid are not.
+    /// Whether the particles are placed randomly, as in spray. In a fluid, particles are not placed
+    /// randomly.
     pub fn is_random(&self) -> bool {
         self.scatter.is_some_and(|scatter| scatter.iter().all(|&scatter| scatter > RANDOM))
     }
 
-    /// Whether the particles may be spray: they are placed randomly, or too few are deep to rule
-    /// this out.
+    /// Whether the particles may be spray: they are placed randomly, or too few particles are deep
+    /// to rule out a random placement.
     pub fn may_be_spray(&self) -> bool {
         self.scatter.is_none() || self.is_random()
     }

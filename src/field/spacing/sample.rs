@@ -300,7 +300,7 @@ impl CubeSample {
 
     fn within(room: usize, cubes: Cubes, particles: usize) -> Self {
         // The cubes numbered below `end` are expected to hold twice `room` particles, so that they
-        // hold enough.
+        // probably hold at least `room`.
         let share = 2.0 * room as f64 / particles.max(1) as f64;
         let end = (share * f64::from(u32::MAX)) as u32;
         Self { cubes, room, end: AtomicU32::new(end), kept: Mutex::default() }

@@ -78,7 +78,7 @@ fn estimates_do_not_depend_on_the_order_of_many_particles() {
     let first = evidence(&particles).unwrap();
     let spacing = first.estimate().unwrap().spacing;
     assert!((spacing - 1.0).abs() < 0.01, "{spacing}");
-    assert!(part_of(&particles).len() < particles.len(), "all were taken");
+    assert!(part_of(&particles).len() < particles.len(), "the sample contains all particles");
     particles.reverse();
     particles.push([f64::NAN; 3]);
     assert_eq!(evidence(&particles), Some(first));

@@ -139,7 +139,7 @@ impl TimeSampling {
 /// Encodes the groups and small data blocks of an archive, which start at byte `at` of the file,
 /// after the arrays. Returns their bytes and the root group.
 ///
-/// Properties refer to `sampling` by index 1, and to the sampling of constants by index 0.
+/// Properties refer to `sampling` by index 1, and to the default sampling by index 0.
 pub fn archive(
     at: u64,
     sampling: &TimeSampling,
@@ -321,7 +321,8 @@ mod tests {
         assert!((per_cycle - 1.0 / 24.0).abs() < 1e-12 && first == [1.0 / 24.0]);
         assert_eq!(at(&[2.0]), (1.0, vec![2.0]));
         assert_eq!(at(&[0.0, 0.1, 0.3]), (ACYCLIC, vec![0.0, 0.1, 0.3]));
-        // These times are not uniform, although the difference is below Alembic's tolerance.
+        // These times differ from uniform times by less than Alembic's tolerance, but by more than
+        // a hundredth of a step, so they are stored as a list.
         assert_eq!(at(&[0.0, 1e-6, 3e-6]), (ACYCLIC, vec![0.0, 1e-6, 3e-6]));
     }
 }

@@ -87,7 +87,8 @@ impl Write for ContentHasher {
     }
 }
 
-/// The two halves of a block, each mixed with both constants. A block of zeros stays zero.
+/// The two halves of a block, each mixed with both constants. A block of zeros stays zero, so an
+/// empty rest does not change the hash in [`finish`](ContentHasher::finish).
 fn mixed(block: [u8; BLOCK]) -> [u64; 2] {
     let [a, b] = bytemuck::cast::<_, [[u8; 8]; 2]>(block).map(u64::from_le_bytes);
     [

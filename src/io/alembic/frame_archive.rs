@@ -6,11 +6,12 @@
 //! write replaces the position of the root group in the header. Therefore, the archive is complete
 //! at any time, even after a crash. Then the file of the frame is removed.
 //!
-//! `archive.json` in the folder says where the frames are in the archive. It is replaced after the
-//! header has changed. The next addition first truncates the archive to the size in `archive.json`,
-//! which removes the bytes of an interrupted addition. The groups of earlier additions stay in the
-//! archive, but are no longer used. The groups of one addition take about 16 bytes for each array
-//! of each frame. A frame that is computed again also leaves its old bytes in the archive.
+//! `archive.json` in the folder lists the position of each frame in the archive. It is replaced
+//! after the header has changed. The next addition first truncates the archive to the size in
+//! `archive.json`, which removes the bytes of an interrupted addition. The groups of earlier
+//! additions stay in the archive, but are no longer used. The groups of one addition take about 16
+//! bytes for each array of each frame. A frame that is computed again also leaves its old bytes in
+//! the archive.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -42,7 +43,8 @@ pub struct FrameArchive {
 pub struct ArchivedFrames {
     #[serde(skip)]
     archive: PathBuf,
-    /// The fingerprint of the state with which all frames were computed.
+    /// Fingerprint of the conversion's state, such as its settings, with which all frames were
+    /// computed.
     fingerprint: u32,
     /// Byte offset of the archive's root group.
     root: u64,
@@ -125,7 +127,8 @@ impl FrameArchive {
         ArchivedFrames { archive: self.path.clone(), ..read().unwrap_or_default() }
     }
 
-    /// Makes the next frame start a new archive. The old archive stays until then.
+    /// Removes `archive.json`, so that the next added frame starts a new archive. The old archive
+    /// remains until this frame replaces it.
     ///
     /// # Errors
     /// I/O errors of the operating system.

@@ -16,7 +16,8 @@ const FRAME_SAMPLING: u32 = 1;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct AbcArray {
     pub header: AbcHeader,
-    /// Whether the array is in `.arbGeomParams`, because the schema does not define it.
+    /// Whether the array is stored in `.arbGeomParams`, the compound property for arrays that the
+    /// schema does not define.
     pub is_arbitrary: bool,
     pub elements: u64,
     pub source: AbcSource,

@@ -4,7 +4,7 @@
 //! The archive has a transform `/fluid`, which is the identity, and the mesh `/fluid/fluidShape`.
 //! In Alembic, y points up, polygons are clockwise as seen from outside, and velocities are in
 //! units of length per second. If the topology changes, readers show the mesh of the nearest frame
-//! at times between frames, and may move it by its velocities.
+//! at times between frames. Readers may also move the vertices of this mesh by their velocities.
 //!
 //! `ogawa.rs` implements groups and data blocks, `archive.rs` the objects and properties in them,
 //! and `geometry.rs` the properties of a mesh. Alembic has no specification. The sources of Alembic
@@ -23,7 +23,7 @@ pub use write::write_mesh;
 /// The time of a mesh in seconds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SampleTime {
-    /// The bits of the f64, so that times can be compared with `Eq`.
+    /// The bits of the time as an f64. Unlike f64, bits implement `Eq`.
     bits: u64,
 }
 

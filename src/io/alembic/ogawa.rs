@@ -9,8 +9,8 @@ pub const LENGTH: u64 = 8;
 /// The bit that marks a child as data instead of a group.
 const IS_DATA: u64 = 1 << 63;
 
-/// A child of a group: the position of a group or data block, which is 0 if the child is empty, and
-/// a bit that distinguishes data from groups.
+/// A child of a group: the position of a group or data block, and a bit that distinguishes data
+/// from groups. The position is 0 if the child is empty.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OgawaChild(u64);
 

@@ -23,7 +23,8 @@ const EMPTY_BOX: [[f64; 3]; 2] = [[f64::MAX; 3], [f64::MIN; 3]];
 ///
 /// Positions are written as f32, and normals as `N`. An attribute `velocity` of three
 /// floating-point components is written as `.velocities`. Other attributes are written as values at
-/// the vertices, under their own names. Colours range from 0 to 1.
+/// the vertices, under the names that [`attribute_names`](super::attribute_names) returns. Colours
+/// range from 0 to 1.
 ///
 /// # Panics
 /// Like [`MeshFormat::write`](crate::io::output::MeshFormat::write).

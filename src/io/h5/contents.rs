@@ -57,7 +57,7 @@ pub fn no_position(root: &Group) -> Result<ReadFault, ReadFault> {
 
 /// The contents of a file.
 struct Summary {
-    /// Lines that describe the first data sets and empty groups, one each.
+    /// One line for each of the first data sets and empty groups.
     lines: Vec<String>,
     /// The number of further data sets and empty groups.
     more: usize,

@@ -19,8 +19,8 @@ use super::table::{H5Array, RowPart, scalar};
 /// Maximum size, in bytes, of the cache of decoded chunks. The cache serves repeated reads of rows
 /// in the same chunk.
 const CHUNKS: u64 = 16 << 20;
-/// After a read of at least this number of bytes, the memory of these bytes in the input is
-/// released.
+/// Minimum size, in bytes, of a read after which the reader releases the input's memory for the
+/// bytes that it read.
 const LARGE: usize = 64 << 10;
 
 /// An open file. All of its data sets must be dropped before [`into_bytes`](Self::into_bytes).

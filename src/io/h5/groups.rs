@@ -199,9 +199,9 @@ impl GroupSearch {
     ///
     /// # Errors
     /// [`ReadFault::Unsupported`] if there are several candidates and a condition names none of
-    /// them, or if no condition names one and there is no default. If there is no candidate, the
-    /// error of the first group with positions that cannot be read, or else
-    /// [`ReadFault::Unsupported`] with the contents of `root`.
+    /// them, or if no condition names one and there is no default. If there is no candidate, this
+    /// function returns the error of the first group whose positions cannot be read. If there is no
+    /// such group, it returns [`ReadFault::Unsupported`] with the contents of `root`.
     pub fn chosen(
         mut self,
         root: &Group,
@@ -213,7 +213,7 @@ impl GroupSearch {
                 None => contents::no_position(root)?,
             });
         }
-        // Use the last component of a path as the name if no other path has the same one.
+        // Use the last component of a path as the name if no other path ends with this component.
         let last = |path: &str| path.rsplit('/').next().unwrap_or_default().to_owned();
         let paths: Vec<String> = self.candidates.iter().map(|c| c.path.clone()).collect();
         let names = paths.iter().map(|path| {
@@ -223,8 +223,8 @@ impl GroupSearch {
         });
         let mut names: Vec<String> = names.collect();
         if let [only] = &names[..] {
-            // If no condition on `type` names the only candidate, the conditions may refer to an
-            // attribute `type`, so this is no error.
+            // Conditions on `type` may refer to an attribute `type`. Therefore, it is not an error
+            // if no condition names the only candidate.
             let called = Where::types(wanted).find(|named| named == only || **named == paths[0]);
             return Ok((
                 self.candidates.swap_remove(0),

@@ -45,7 +45,7 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
 }
 
 /// Reads the particles of one species in an iteration: the species that `wanted` names, or else the
-/// only species, or else the only one that is called fluid or gas (see [`chosen_type`]).
+/// only species, or else the species that [`chosen_type`] chooses by its name.
 pub fn read_particles(
     file: H5File,
     step: Option<u64>,

@@ -14,8 +14,8 @@ pub const PARTICLES: &str = "particles";
 pub const SOLVER: &str = "solver_data";
 
 /// Reads the particles of the array that `wanted` names, or else of the only array, or else of the
-/// array called `fluid` or `gas` (see [`chosen_type`]). Particles with a nonzero `tag` are left
-/// out: they are copies from other processes or for periodic boundaries.
+/// array that [`chosen_type`] chooses by its name. Particles with a nonzero `tag` are left out,
+/// because they are copies from other processes or for periodic boundaries.
 pub fn read_particles(file: H5File, wanted: WantedParticles) -> Result<ParticleFile, ReadFault> {
     let time = time_of(&file.group(SOLVER)?);
     let (known, _) = convert_error(file.group(PARTICLES)?.member_names())?;

@@ -104,9 +104,11 @@ pub fn steps(file: &H5File) -> Result<Vec<u64>, ReadFault> {
     Ok(longest.arrangement.steps())
 }
 
-/// The groups that contain one frame each, sorted by number. These are the groups of H5Part, or
-/// else numbered groups with the same parent, if the first of them contains positions, or else
-/// [`bare_numbers`].
+/// The groups that contain one frame each, sorted by number.
+///
+/// If there are groups of H5Part, this function returns them. Otherwise, it returns numbered groups
+/// with the same parent if the first of these groups contains positions. If there are no such
+/// groups either, it returns the result of [`bare_numbers`].
 fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let groups = convert_error(root.groups())?;
     let h5part = in_group(&groups, |name| name.strip_prefix(STEP)?.parse().ok());
@@ -132,11 +134,13 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
 }
 
 /// The groups of the root that contain one frame each, if their names are bare numbers, such as
-/// `000120`. There must be at least two, with different numbers and the same members, one name must
-/// have two digits or more, and the first group must contain positions.
+/// `000120`. There must be at least two of these groups. They must have different numbers and the
+/// same members, at least one name must have two or more digits, and the first group must contain
+/// positions.
 ///
-/// Such names may also be types of particles, which usually have a single digit. This function
-/// returns no groups if the members differ, or if a group with another name contains positions.
+/// A bare number may also be the name of a particle type. Names of particle types usually have a
+/// single digit. This function returns no groups if the members differ, or if a group with another
+/// name contains positions.
 fn bare_numbers(groups: &[Group], file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault> {
     let number = |name: &str| {
         let is_bare = name.bytes().all(|letter| letter.is_ascii_digit());

@@ -1,5 +1,5 @@
-//! Columns of numbers from data sets with one row per particle. They are read in place if all data
-//! sets are contiguous and uncompressed. Otherwise, they are decoded.
+//! Columns of numbers from data sets with one row per particle. The columns are read in place if
+//! all data sets are contiguous and uncompressed. Otherwise, they are decoded.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -24,15 +24,15 @@ use crate::particles::sieve::Sieve;
 use super::file::{H5File, convert_error};
 use super::groups::last_name;
 
-/// Number of bytes per decoding step, unless chunks are larger.
+/// Maximum size, in bytes, of a window of rows (see [`RowWindows`]), unless a chunk is larger.
 const WINDOW: u64 = 1 << 20;
-/// Names, in lower case, of types of particles that are read by default. The first comes from
-/// snapshots of SWIFT and GADGET, where it is a gas.
+/// Names, in lower case, of types of particles that are read by default. The first name comes from
+/// snapshots of SWIFT and GADGET, in which this type is gas.
 const FLUIDS: [&str; 2] = ["parttype0", "fluid"];
 /// Name, in lower case, of the type that is read by default if no other type can be a liquid.
 const GAS: &str = "gas";
-/// Names, in lower case, of types of particles that are not liquids: walls, and the other
-/// components of a galaxy.
+/// Names, in lower case, of types of particles that are not liquids: walls, and components of a
+/// galaxy other than gas.
 const NO_LIQUIDS: [&str; 21] = [
     "boundary",
     "boundaries",
@@ -112,8 +112,8 @@ impl H5Array {
         self.components as u64 > MOST_COMPONENTS
     }
 
-    /// An array of `rows` rows with `components` numbers each. `part` says which numbers of the
-    /// data set form a row.
+    /// An array of `rows` rows with `components` numbers each. `part` determines which numbers of
+    /// the data set form a row.
     pub fn of(
         set: Arc<Dataset>,
         name: String,
@@ -188,8 +188,8 @@ impl H5Array {
         let count = windows.count * passes;
         let window =
             |index: usize| (windows.rows(index % windows.count, self.rows), index / windows.count);
-        // Number of bytes in memory while one batch of windows is decoded and the previous one is
-        // stored.
+        // Number of bytes in memory while `in_order` decodes one batch of windows and stores the
+        // previous batch. A batch has two windows per thread.
         let batch_bytes = 4
             * rayon::current_num_threads() as u64
             * windows.size.saturating_mul(self.stride() as u64);
@@ -455,7 +455,7 @@ pub(super) fn fault_of(error: io::Error) -> ReadFault {
     }
 }
 
-/// The number type and byte order of a data type. `None` for other types.
+/// The number type and byte order of a data type. `None` if the type is not a supported number.
 pub(super) fn scalar(kind: &Datatype) -> Option<(Scalar, Endian)> {
     let (scalar, order) = match kind {
         Datatype::FixedPoint { size, signed, byte_order } => {
@@ -631,8 +631,11 @@ pub(super) fn chosen_type(known: &[String], wanted: &[Where]) -> Result<String, 
     }
 }
 
-/// The type with the first of the names [`FLUIDS`] that exactly one type has. If no type has such a
-/// name, the only type called [`GAS`], unless another type may be a liquid.
+/// The type that is read by default. `None` if the names do not determine it.
+///
+/// This function takes the first name in [`FLUIDS`] that exactly one type has, and returns this
+/// type. If there is no such name, it returns the type called [`GAS`], if exactly one type has this
+/// name and no other type can be a liquid.
 ///
 /// The comparison of names ignores case. If a type's name is a path, only its last component is
 /// compared.

@@ -1,5 +1,5 @@
-//! Reads Houdini's binary JSON. A type byte precedes each value. A text may be defined once and
-//! then referred to by number.
+//! Reads Houdini's binary JSON. A type byte precedes each value. A document can define a text once
+//! and then refer to it by number.
 
 use std::collections::HashMap;
 use std::rc::Rc;

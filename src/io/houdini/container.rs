@@ -228,7 +228,8 @@ impl Write for ContainerWriter<'_> {
         Ok(taken)
     }
 
-    /// Does nothing, because chunks are written when enough bytes are waiting.
+    /// Does nothing. [`write`](Write::write) writes chunks when enough bytes are waiting, and
+    /// [`finish`](Self::finish) writes the remaining bytes.
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
     }

@@ -163,7 +163,7 @@ macro_rules! numbers {
     ($($scalar:ident $type:ident $number:ident),*) => {
         impl Storage {
             /// The number at `index` in the bytes `stored`.
-            #[allow(clippy::cast_lossless)] // In contrast to `from`, `as` also converts u64.
+            #[allow(clippy::cast_lossless)] // Unlike `i64::from`, `as` also converts u64.
             fn number(self, stored: &[u8], index: usize, endian: Endian) -> JsonNumber {
                 match self {
                     Self::Bits => {

@@ -275,7 +275,8 @@ impl OpenedGeometry {
             return Ok(None);
         }
         let points = geometry.points;
-        // The memory for a bit per point is bounded, because the number of points was checked.
+        // This allocates one bit per point. `OpenedGeometry::of` has checked that the number of
+        // points is not too large for the file.
         let mut used_by_primitives = Sieve::none(points as usize);
         self.each_vertex(|vertex, point| {
             let word = geometry.particle_vertices.get(vertex / 64).copied().unwrap_or_default();
@@ -375,7 +376,7 @@ impl OpenedGeometry {
     }
 }
 
-/// The primitives of a geometry, which use this number of points.
+/// The primitives of a geometry. `points` is the number of points that they use.
 fn primitives(geometry: &Geometry, points: u64) -> Primitives {
     Primitives::new(geometry.kinds.iter().map(|(kind, count)| (&**kind, *count)), points)
 }

@@ -15,7 +15,7 @@ use super::schema::{
     HoudiniAttribute, MOST_TEXTS, NumberLocation, NumberRun, PointPages, PointValues, ValueLayout,
 };
 
-/// Number of points of a page that are unpacked at once.
+/// Number of points of a page, or of numbers in another layout, that are unpacked at once.
 const ROWS: u64 = 1 << 13;
 
 /// The bytes that contain numbers: the document, and the numbers copied from JSON lists.

@@ -51,7 +51,7 @@ impl Primitives {
         self.kinds.iter().map(counted).collect::<Vec<_>>().join(", ")
     }
 
-    /// The way to get particles from a geometry that contains only primitives, for a message.
+    /// Advice for a message: how to get particles from a geometry that contains only primitives.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
         let has = |is_kind: fn(&str) -> bool| self.kinds.iter().any(|(kind, _)| is_kind(kind));

@@ -6,7 +6,7 @@
 //!
 //! | part | bytes | content |
 //! |---|---|---|
-//! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`; a program that converts line ends would change these bytes |
+//! | header | 8 | `89 4D 4E 46 0D 0A 1A 0A`; a conversion of line ends changes these bytes, so readers detect it |
 //! | | 4 | version: 2, or 3 for particles of several sizes |
 //! | | 4 | edge of a brick in cells: 4, 8 or 16 |
 //! | pages | | one zstd frame of samples per page, in key order and without gaps |

@@ -100,7 +100,8 @@ pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, Read
     Ok(SampledDif::new(facts, indicator, field))
 }
 
-/// A memory map of a file. Its memory is released repeatedly.
+/// A memory map of a file. The map's memory is released whenever more than [`RELEASED`] bytes have
+/// been accessed since the last release.
 #[derive(Debug)]
 struct MapWindow {
     bytes: PrivateBytes,
@@ -273,7 +274,7 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
         let at = cursor.at();
         let previous = infos.last().map(|info: &PageInfo| info.key);
         let entry = read_entry(&mut cursor, side, &facts, field_count)?;
-        // An entry may skip the numbers of fields that have no pages.
+        // A field without pages has no entries, so the next entry may skip its number.
         let is_first = fields.len() <= usize::from(entry.field);
         fields.resize(fields.len().max(usize::from(entry.field) + 1), infos.len());
         let is_earlier = fields.len() > usize::from(entry.field) + 1;
@@ -423,7 +424,7 @@ fn read_facts(
         0 => None,
         _ if indicator != Indicator::Cloud => {
             let what =
-                "particles of several sizes need the indicator cloud, but the file has another";
+                "particles of several sizes need the indicator cloud, but the file has another one";
             return Err(fault(&what));
         }
         _ => Some(read_sizes(cursor, &facts)?),

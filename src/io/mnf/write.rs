@@ -74,7 +74,7 @@ impl<W: Write> FrameWriter<W> {
         })
     }
 
-    /// Appends all pages of a field. At most one batch of them is in memory.
+    /// Appends all pages of a field. At most one batch of pages is in memory.
     fn push_field(&mut self, field: &DifField) -> io::Result<()> {
         // Two chunks per thread form a batch, to reduce the wait for the last chunk.
         let batch = 2 * CHUNK * rayon::current_num_threads();

@@ -45,7 +45,8 @@ impl Element {
         Self { name: self.name.clone(), count: self.count, properties }
     }
 
-    /// The index of the property `name`. An exact match has priority over a match in another case.
+    /// The index of the property `name`. An exact match has priority over a match that ignores
+    /// case.
     pub fn property(&self, name: &str) -> Option<usize> {
         let exact = self.properties.iter().position(|p| p.name == name);
         exact.or_else(|| self.properties.iter().position(|p| p.name.eq_ignore_ascii_case(name)))

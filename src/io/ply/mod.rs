@@ -2,8 +2,8 @@
 //!
 //! A header lists the elements in the order of their data, each with a count and its properties.
 //! The element `vertex` contains particles or the vertices of a mesh. The element `face` contains
-//! polygons. A file in which no face has an area is a particle file: some programs write each
-//! particle as a face with one corner, too.
+//! polygons. A file in which no face has an area is a particle file, because some programs also
+//! write a face with one corner for each particle.
 
 mod header;
 mod read;
@@ -15,8 +15,8 @@ pub use stream::StreamedMesh;
 pub(in crate::io) use write::attribute_names;
 pub use write::write_mesh;
 
-/// Attributes that replace three properties. Each entry has the name of the attribute and the names
-/// of the properties.
+/// Attributes that are stored as three properties. Each entry has the name of the attribute and the
+/// names of the properties.
 const GROUPS: [(&str, [&str; 3]); 4] = [
     ("velocity", ["vx", "vy", "vz"]),
     ("velocity", ["velocity_x", "velocity_y", "velocity_z"]),

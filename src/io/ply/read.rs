@@ -38,7 +38,8 @@ pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile
         return points(bytes, &header, unpacking);
     }
     let mesh = ReadFault::Mesh { faces: announced };
-    // Without a list of corners, it is unknown whether a face has an area.
+    // Without a list of corners, it is unknown whether a face has an area. The file then counts as
+    // a mesh.
     let Ok(Some(corners)) = faces(&header) else { return Err(mesh) };
     if begins_with_area(bytes.view(), &header, corners)? {
         return Err(mesh);

@@ -206,9 +206,10 @@ fn numbered_after(line: &str) -> Vec<String> {
 }
 
 /// Lists of the names in a line such as `rho vel pos` or `rho, v[3], x[3]`, in which a name stands
-/// for all components of a vector. Each list says whether all of its names are well known. In a
-/// second list, short names also stand for vectors, as in `rho v x`, provided that all names are
-/// well known. Returns no list if the line names no vector.
+/// for all components of a vector. The flag of a list is true if all of its names are well known.
+/// In the second list, short names also stand for vectors, as in `rho v x`. A list with short names
+/// is returned only if all of its names are well known. Returns no list if the line names no
+/// vector.
 fn vectors_in(line: &str) -> Vec<(Vec<String>, bool)> {
     if line.len() > LONGEST_NAMES {
         return Vec::new();
@@ -303,7 +304,7 @@ fn separated(line: &str) -> Vec<String> {
     names_of(line.as_bytes(), separator_of(line.as_bytes()))
 }
 
-/// The names in a line with blanks between names. They may be aligned with tabs.
+/// The names in a line with spaces or tabs between names.
 fn between_blanks(line: &str) -> Vec<String> {
     names_of(line.as_bytes(), Separator::Blanks)
 }
@@ -572,7 +573,7 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
 
 /// Whether a text is a list of names that gives x the name of another quantity. The names must not
 /// include a position. Either the column of x has the name of another quantity, or at least three
-/// such names precede an unknown vector.
+/// names of other quantities precede the components of an unknown vector.
 fn gives_x_another_name(text: &str, fields: usize, first: Option<usize>) -> bool {
     names_in(text).filter(|names| are_names(names)).any(|names| {
         let names = bare_names(&names);

@@ -293,8 +293,8 @@ fn fitting(
     columns.find_map(|columns| Some((Syntax::of_row(row, &columns)?, columns)))
 }
 
-/// The notation and the columns of a row below a line of names. One of these names may stand for a
-/// vector.
+/// The notation and the columns of a row below a line of names. A name in this line may stand for
+/// all components of a vector.
 fn columns_below(names: &[u8], row: &[u8]) -> (Syntax, TableColumns) {
     let text = String::from_utf8_lossy(names);
     fitting(named_columns(&text).chain(columns_in_comment(&text)), row).unwrap_or_else(|| {

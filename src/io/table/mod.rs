@@ -224,8 +224,8 @@ impl TextTable {
         Ok(ParticleFile { unread, left_out, ..ParticleFile::new(store, format) })
     }
 
-    /// Decodes all rows in order. Also returns the number of rows without values at the end, as
-    /// spreadsheets write them, and the numbers in each column of times.
+    /// Decodes all rows in order. Also returns the number of rows without values at the end of the
+    /// table, which spreadsheets write, and the numbers in each column of times.
     fn decode(
         &self,
         source: &InputBytes,

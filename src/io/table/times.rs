@@ -1,4 +1,5 @@
-//! Detects a table that contains several frames: many of its rows share each of several times.
+//! Detects a table that contains several frames. In such a table, a column contains several
+//! different times, and at least half of these times occur in several rows.
 
 use hashbrown::HashMap;
 
@@ -6,8 +7,8 @@ use crate::io::UnreadPart;
 use crate::io::names::{Quantity, bare_name};
 
 /// Names of the column that contains the time or the number of a frame, in lower case and without
-/// punctuation; `time_s` has its unit in its name. The name `t` also counts, but only in lower
-/// case, because `T` may be a temperature.
+/// punctuation. `times` also stands for `time_s`, a name with the unit s. The name `t` also counts,
+/// but only in lower case, because `T` may be a temperature.
 const NAMES: [&str; 20] = [
     "time",
     "times",
@@ -34,7 +35,7 @@ const NAMES: [&str; 20] = [
 const AMBIGUOUS: [&str; 4] = ["t", "step", "iteration", "iter"];
 /// Maximum number of frames. A column with more different numbers has a time for each particle.
 const MOST_FRAMES: usize = 1 << 16;
-/// Minimum number of rows of at least half of the frames.
+/// Minimum number of rows that at least half of the frames must have.
 const FEWEST_ROWS: u64 = 4;
 
 /// The different times in a column of a table, and the number of rows with each time.
@@ -71,8 +72,8 @@ impl Times {
         next.rows.into_iter().for_each(|(bits, rows)| self.push(f64::from_bits(bits), rows));
     }
 
-    /// A message about the frames that the column `name` divides the rows into. `None` if particles
-    /// may have times of their own.
+    /// A description of the frames into which the column `name` divides the rows. `None` if the
+    /// column may contain a separate time for each particle.
     ///
     /// The column divides the rows into frames if there are several times, and at least half of
     /// them have [`FEWEST_ROWS`] rows or more. The rows can have any order. If the name is one of

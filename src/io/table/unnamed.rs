@@ -187,7 +187,7 @@ struct SampledColumn {
     /// The numbers. NaN for a field without a number.
     values: Vec<f64>,
     /// For each field, a number that is the same for equal fields. Different integers without a
-    /// sign have different numbers.
+    /// sign have different numbers, even if they round to the same f64.
     keys: Vec<u64>,
     /// Number of fields that are numbers.
     numbers: usize,

@@ -132,8 +132,8 @@ pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 
     properties(has_normals, attributes).into_iter().filter_map(differs).collect()
 }
 
-/// Number of passes that the writer makes over the vertices of a mesh, plus one pass over its
-/// triangles.
+/// Number of passes that the writer makes over a mesh: one pass over the triangles, and all others
+/// over the vertices.
 pub fn readings(has_normals: bool, attributes: &[AttributeInfo]) -> usize {
     // `properties` also lists the numbers of corners and the extent, which need no pass.
     properties(has_normals, attributes).len() - 2

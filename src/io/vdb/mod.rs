@@ -9,7 +9,7 @@
 //! float grid or, if it contains integers, as an int32 or int64 grid. An attribute with three
 //! floating-point components is stored as a vec3s grid. The first colour is also stored as a vec3s
 //! grid, without its alpha. Other attributes have one grid per component. The metadata of a vec3s
-//! grid says whether its vectors rotate with the grid; only colours do not.
+//! grid says whether its vectors rotate with the grid. Colours and texture coordinates do not.
 //!
 //! Distances, velocities and colours are stored in half precision if their range allows it. This
 //! changes a distance by less than 0.002 voxels. Only values in the band are stored. With
@@ -55,11 +55,11 @@ pub const HOUDINI_NAMES: [&str; 2] = ["v", "Cd"];
 const HALF_SIZES: Range<f64> = 1e-4..1e4;
 /// Velocities are stored in half precision if their greatest absolute component is in this range.
 const HALF_VELOCITIES: Range<f32> = 1e-2..6e4;
-/// Number of voxels in the band for each vertex of a mesh: about 6 in large bodies, and at most
-/// about this number in spray.
+/// Approximate maximum number of voxels in the band per vertex of a mesh. Spray can reach this
+/// number. Large bodies have about 6 voxels per vertex.
 const VOXELS_PER_VERTEX: u64 = 11;
-/// Number of bytes for each vertex that the leaves take: about 4 in large bodies, and at most about
-/// this number in spray.
+/// Approximate maximum size, in bytes, of the leaves per vertex of a mesh. Spray can reach this
+/// size. The leaves of large bodies take about 4 bytes per vertex.
 const LEAF_BYTES_PER_VERTEX: u64 = 25;
 /// Number of leaves that are encoded together.
 const LEAVES_PER_CHUNK: usize = 64;
@@ -94,8 +94,8 @@ struct StoredLeaf {
     first: u32,
 }
 
-/// The inputs of an identifier of the file. It does not depend on the order in which blocks are
-/// added.
+/// The values from which the identifier of the file is computed. The identifier does not depend on
+/// the order in which blocks are added.
 #[derive(Default)]
 struct FileId {
     /// For each block, the first voxel of its first leaf, and the checksum of its distances.
@@ -118,9 +118,9 @@ struct GridWriter<'a> {
     bounds: [IVec3; 2],
 }
 
-/// Approximate maximum memory, and size of scratch files, in bytes, for writing a mesh whose
-/// attributes have `components` components in total. `in_files` says whether the mesh is in files,
-/// or `None` that it was reduced.
+/// Approximate maximum memory and scratch file size, in bytes, for writing a mesh whose
+/// attributes have `components` components in total. `in_files` says whether the mesh is in files.
+/// It is `None` for a reduced mesh.
 pub fn writing_bytes(vertices: u64, components: u64, in_files: Option<bool>) -> [u64; 2] {
     let memory = part_bytes(vertices, components, in_files) + LEAF_BYTES_PER_VERTEX * vertices;
     let of_voxel = size_of::<f16>() as u64 + components * size_of::<f32>() as u64;
@@ -132,8 +132,9 @@ pub fn writing_bytes(vertices: u64, components: u64, in_files: Option<bool>) -> 
 ///
 /// # Errors
 /// The errors of `mesh`, `out` and [`for_each_part`], the errors of scratch files, and
-/// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice. After something
-/// was written, only errors of `out` and of scratch files occur, and the error of a cancelled mesh.
+/// [`io::ErrorKind::InvalidInput`] for a mesh with triangles but without a lattice. After the first
+/// bytes are written, only errors of `out`, errors of scratch files, and the error of a cancelled
+/// mesh can occur.
 pub fn write_mesh(out: &mut dyn Write, mesh: &dyn MeshSource, zip: bool) -> io::Result<()> {
     write_in_parts(out, mesh, zip, None)
 }
@@ -217,7 +218,7 @@ fn write_in_parts(
     Ok(())
 }
 
-/// An error of a scratch file, with the folder of scratch files.
+/// Adds the folder of scratch files, if there is one, to an error of a scratch file.
 fn in_scratch(mesh: &dyn MeshSource, fault: io::Error) -> io::Error {
     match mesh.scratch_folder() {
         Some(folder) => io::Error::other(format!(
@@ -251,8 +252,8 @@ impl StoredValues {
 }
 
 impl BlockValues {
-    /// Collects the values of a block for `grids` grids of attributes, and its leaves. For a voxel
-    /// and its nearest triangle, `put` appends the numbers of each grid.
+    /// Collects the distances and the leaves of a block, and its values in `grids` grids of
+    /// attributes. For a voxel and its nearest triangle, `put` appends the numbers of each grid.
     fn new(
         leaves: Vec<Leaf>,
         distance: Kind,
@@ -321,18 +322,18 @@ fn kind_of(grid: &AttributeGrid, info: &AttributeInfo, greatest: f32) -> Kind {
     }
 }
 
-/// The greatest absolute value; NaN if there is one.
+/// The greatest absolute value, or NaN if any value is NaN.
 fn greatest_magnitude(values: &[f32]) -> f32 {
     values.par_iter().map(|value| value.abs()).reduce(|| 0.0, greater)
 }
 
-/// The greater of two numbers; NaN if one of them is NaN.
+/// The greater of two numbers, or NaN if one of them is NaN.
 fn greater(a: f32, b: f32) -> f32 {
     if a > b || a.is_nan() { a } else { b }
 }
 
-/// Appends some components of an attribute at `point` of the surface, interpolated between the
-/// corners of the triangle. Integers are not interpolated but taken from the nearest corner.
+/// Appends some components of an attribute at a point of the surface, interpolated between the
+/// corners of a triangle. Integers are not interpolated but taken from the nearest corner.
 /// `values` are the attribute's values at all vertices.
 fn put_values(
     out: &mut Vec<f32>,

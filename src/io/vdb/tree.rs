@@ -2,7 +2,8 @@
 //! leaves, and a leaf has 8^3 voxels.
 //!
 //! In place of a missing child, a node has a tile, which says whether its voxels are inside or
-//! outside. The surface never runs between a tile and its neighbour, so both are on the same side.
+//! outside. The surface never runs between a tile and its neighbour, so both are on the same side
+//! of the surface.
 
 use glam::IVec3;
 use rayon::prelude::*;
@@ -62,8 +63,8 @@ impl TreeLeaf {
     }
 }
 
-/// A leaf, or a node above the leaves: its bytes, and whether its first and last voxels are inside
-/// the surface.
+/// The bytes of a leaf or of a node above the leaves, and whether the first and the last voxel of
+/// the node are inside the surface.
 struct InnerNode {
     corner: IVec3,
     bytes: Vec<u8>,

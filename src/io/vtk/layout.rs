@@ -27,7 +27,7 @@ pub(super) struct VtkLayout {
     pub vertices: Option<CellCorners>,
     /// Number of cells in all `LINES` sections.
     pub line_cells: usize,
-    /// Whether there are `LINES`, or several `VERTICES` sections.
+    /// Whether a `LINES` section, or a `VERTICES` section before the last one, has cells.
     pub has_others: bool,
     pub cells: Vec<VtkCells>,
     /// Types of the cells of an `UNSTRUCTURED_GRID`.

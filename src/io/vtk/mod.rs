@@ -1,4 +1,5 @@
-//! Legacy .vtk, versions 2.0 to 5.1: particles or surfaces, in text or in big-endian binary.
+//! Reads legacy .vtk files of versions 2.0 to 5.1, and writes version 3.0. A file contains
+//! particles or a surface, in text or in big-endian binary.
 //!
 //! A header of three lines is followed by sections in almost any order. A section consists of a
 //! line of words, followed by an array. After `POINTS`, sections such as `VERTICES`, `POLYGONS` or

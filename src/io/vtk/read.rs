@@ -1,5 +1,5 @@
-//! Reads legacy .vtk files. Points and their attributes are read in place, and cells become
-//! triangles.
+//! Reads legacy .vtk files. The points and attributes of a binary file are read in place. Cells
+//! become triangles.
 
 use std::ops::Range;
 
@@ -86,7 +86,7 @@ fn points(
         .with_points(non_ghosts))
 }
 
-/// Whether the file is a mesh: any cell has an area or a volume.
+/// Whether the file is a mesh, which means that a cell has an area or a volume.
 pub fn has_faces(bytes: ByteView) -> Result<bool, ReadFault> {
     for cells in cell_counts(bytes, &VtkLayout::parse(bytes)?) {
         if cells?.faces > 0 {
@@ -130,8 +130,7 @@ fn cell_counts<'a>(
     std::iter::once(Ok(untyped)).chain(typed)
 }
 
-/// Reads points, and converts cells to triangles: polygons, triangle strips, and typed cells with
-/// an area.
+/// Reads points, and converts polygons, triangle strips and typed cells with an area to triangles.
 ///
 /// Each polygon becomes a fan of triangles around its first corner. Vertex cells and lines are
 /// ignored.

@@ -32,12 +32,13 @@ use super::layout::{Compressor, DataLocation, VtpArray, VtpLayout, VtpPiece};
 const CHUNK: usize = 1 << 16;
 /// Number of bytes that are read before their memory is released.
 const PASSED: usize = 1 << 20;
-/// Maximum unpacked size, in bytes, of an LZ4 block, because a block is unpacked as a whole.
+/// Maximum unpacked size, in bytes, of an LZ4 block. The size is limited because a block is
+/// unpacked into memory as a whole.
 const MOST_LZ4: u64 = 64 << 20;
 /// Maximum compression ratio of LZ4.
 const LZ4_RATIO: u64 = 255;
 
-/// An attribute or the positions: the corresponding arrays of all pieces with points.
+/// The arrays that store an attribute, or the positions, in all pieces with points.
 pub(super) struct JoinedArray<'a> {
     pub components: usize,
     pub parts: Vec<PieceArray<'a>>,
@@ -48,7 +49,7 @@ pub(super) struct JoinedArray<'a> {
 pub(super) struct PieceArray<'a> {
     /// Number of points in the piece.
     pub points: usize,
-    /// `None` if the piece lacks the array. Its values are then 0.
+    /// `None` if the piece lacks the array. In this case, all values of the piece are 0.
     pub array: Option<&'a VtpArray>,
 }
 
@@ -316,7 +317,7 @@ fn numbers<T: ParseNumber>(text: &[u8], at: usize) -> Result<Vec<T>, ReadFault> 
     }
 }
 
-/// A function that takes bytes, and breaks if it needs no more.
+/// A function that takes bytes, and returns `Break` if it needs no more bytes.
 type TakeBytes<'t> = dyn FnMut(&[u8]) -> Result<ControlFlow<()>, ReadFault> + 't;
 
 /// An array that is stored as numbers, not as text.
@@ -628,7 +629,7 @@ impl<'a> RemainingText<'a> {
 }
 
 /// Decodes base64 that may contain white space anywhere. Padding may end any group of four
-/// characters, because the header of an array may be encoded and padded before its data.
+/// characters, because the header of an array may be encoded and padded separately from its data.
 struct Base64<'a> {
     text: RemainingText<'a>,
     plain: Vec<u8>,

@@ -1,5 +1,5 @@
-//! Writes a mesh as a .pvtp: a list of pieces. Each piece is a .vtp with an equal share of the
-//! triangles, and with the vertices of these triangles.
+//! Writes a mesh as a .pvtp, which is a list of pieces. Each piece is a .vtp with an equal share of
+//! the triangles, and with the vertices of these triangles.
 //!
 //! A vertex that several pieces share is stored in each of them. An array of global identifiers,
 //! the indices of the vertices in the whole mesh, shows which vertices are the same.

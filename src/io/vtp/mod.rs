@@ -1,5 +1,5 @@
-//! VTK's XML: .vtp (PolyData: particles or a mesh) and .vtu (UnstructuredGrid: particles), with the
-//! numbers in the XML or after it.
+//! Reads and writes VTK's XML formats. A .vtp file (PolyData) contains particles or a mesh. A .vtu
+//! file (UnstructuredGrid) must contain particles.
 //!
 //! The XML contains each array's name, type and location. The numbers are in the XML as text or
 //! base64, or after `<AppendedData>` and an underscore as raw bytes or base64. Data other than text

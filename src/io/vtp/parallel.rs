@@ -1,6 +1,6 @@
 //! Reads VTK's lists of files. A .pvtp or .pvtu names its pieces, which are .vtp or .vtu files with
-//! relative paths. The points of all pieces form one set. A .vtm names blocks, which may contain
-//! anything.
+//! relative paths. The points of all pieces form one set. A .vtm, .vtpd or .vtpc names blocks,
+//! which may contain anything.
 
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -72,8 +72,8 @@ pub fn blocks(path: &Path) -> Result<Option<(Vec<FrameBlock>, &'static str)>, Re
     Ok(list.are_blocks.then_some((list.files, list.format)))
 }
 
-/// Whether the pieces form a mesh: a cell of a piece has an area or a volume, or every piece is an
-/// empty mesh.
+/// Whether the pieces form a mesh. They form a mesh if a cell of a piece has an area or a volume,
+/// or if every piece is an empty mesh.
 ///
 /// # Errors
 /// [`ReadError`] if the pieces cannot be read.
@@ -91,7 +91,7 @@ pub fn has_faces(path: &Path) -> Result<bool, ReadError> {
     Ok(is_empty_mesh)
 }
 
-/// The paths of the pieces in a .pvtp or .pvtu, or of the blocks in a .vtm.
+/// The paths of the pieces in a .pvtp or .pvtu, or of the blocks in a .vtm, .vtpd or .vtpc.
 ///
 /// # Errors
 /// [`ReadError`] if the list cannot be read.
@@ -235,8 +235,8 @@ struct List {
 /// An entry of a list.
 struct PieceFile {
     source: String,
-    /// The name of the block, or else of the innermost element around it with a name. `None` for
-    /// pieces.
+    /// The name of the block, or else the name of the innermost named element that contains it.
+    /// `None` for pieces.
     name: Option<String>,
 }
 

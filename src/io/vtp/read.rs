@@ -130,7 +130,8 @@ fn points(
     Ok(file.with_points(non_ghosts))
 }
 
-/// Whether the file is a mesh: a cell has an area or a volume, or the file is an empty mesh.
+/// Whether the file is a mesh. It is a mesh if a cell has an area or a volume, or if it contains an
+/// empty mesh.
 ///
 /// # Errors
 /// The errors of [`read_particles`], except [`ReadFault::Mesh`].

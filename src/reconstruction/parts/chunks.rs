@@ -39,7 +39,8 @@ pub(super) struct PartInput {
     pub(super) pieces: Vec<usize>,
     /// Number of particles in each of these pieces.
     counts: Vec<usize>,
-    /// Ranges of the particles that the part reads, counted over all these pieces.
+    /// Ranges of the particles that the part reads. The particles of all these pieces are numbered
+    /// consecutively.
     pub(super) ranges: Vec<Range<usize>>,
 }
 

@@ -97,8 +97,8 @@ impl Parts {
                 let deciding = sampling.deciding_cells(indicator, &checked.surfacing, coarsest);
                 Ok::<_, Error>((sampling, WantedBins { stretch: mark.stretch, deciding }))
             };
-            // The wanted bins depend on whether there are attributes, but not on which ones, so any
-            // indices will do.
+            // The wanted bins depend on whether there are attributes, but not on which attributes
+            // these are, so the indices here are arbitrary.
             let (sampling, bins) = wanted((0..plan.attributes.len()).collect())?;
             let reading = PartInput::of(&plan.chunks, bins, sampling.periodic.as_ref());
             if reading.is_empty() {

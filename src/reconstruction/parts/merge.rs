@@ -30,7 +30,7 @@ struct MergedParts {
 }
 
 impl Parts {
-    /// Merges the parts into the surface of a single run, with the same report except for the
+    /// Merges the parts into the same surface as a single run, with the same report except for the
     /// times, and simplifies the surface if requested. The meshes stay in the parts' files, which
     /// must exist until the surface is written.
     ///
@@ -133,7 +133,7 @@ fn extracted(
     let lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();
-    // With several sizes of particles, the spacing does not give a particle's volume.
+    // With several sizes of particles, the spacing does not determine a particle's volume.
     let one_size = spacing.filter(|_| plan.cells.sizes.is_none());
     let shortfall = one_size
         .map(|spacing| {

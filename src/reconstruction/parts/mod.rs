@@ -5,11 +5,12 @@
 //! with `.meniscus-parts` appended. The plan samples the whole frame once, makes the same
 //! measurements as a single run, and cuts the Morton curve of blocks into stretches of about equal
 //! work. A part samples all bins that can affect the meshes of its blocks
-//! ([`DecidingCells`](crate::grid::stretch::DecidingCells)), and then meshes its blocks. It reads
-//! only the chunks of the input that can contain particles of these bins: the plan lists all chunks
-//! with their bounding boxes. The merge puts the blocks of all parts in order, as in the scratch
-//! file of a single run, and continues like a single run. Vertices are stitched by identity, so the
-//! mesh does not depend on the cuts.
+//! ([`DecidingCells`](crate::grid::stretch::DecidingCells)), and then meshes its blocks. The plan
+//! lists all chunks of the input with their bounding boxes, so a part reads only the chunks that
+//! can contain particles of these bins. The merge puts the blocks of all parts in order, as in the
+//! scratch file of a single run, and continues like a single run. Vertices of neighbouring blocks
+//! are joined by the edges on which they lie, not by their positions, so the mesh does not depend
+//! on the cuts.
 //!
 //! The guide for users is `parts.md`.
 

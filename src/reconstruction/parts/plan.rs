@@ -260,7 +260,7 @@ fn part_of(cuts: &[MortonKey], block: MortonKey) -> usize {
     cuts.partition_point(|&first| first <= block) - 1
 }
 
-/// For each part, the indices in `bins` of the bins that it samples.
+/// For each part, the indices in `bins` of the bins that the part samples.
 fn sampled_bins(
     bins: &[(MortonKey, usize)],
     cuts: &[MortonKey],

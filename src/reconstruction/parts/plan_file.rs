@@ -1,4 +1,4 @@
-//! The file `plan.json`: the measurements of a single run, and the blocks of each part.
+//! The file `plan.json`: the measurements on the whole frame, and the blocks of each part.
 
 use std::fs;
 use std::io;

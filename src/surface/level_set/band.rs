@@ -1,7 +1,7 @@
 //! Computes the signed distances of the voxels of one block.
 //!
-//! Each triangle is compared with all voxels within its [`Reach`]. The side of the surface on which
-//! a voxel is follows from the [`Sides`] of the block's columns.
+//! Each triangle is compared with all voxels within its [`Reach`]. [`Sides`] finds the side of the
+//! surface on which each voxel is.
 
 use glam::{DVec3, IVec3, Vec4};
 use multiversion::multiversion;
@@ -49,8 +49,8 @@ impl Band {
             squared: vec![BAND * BAND; voxels],
             nearest: vec![0; voxels],
             touched: [false; LEAVES.pow(3)],
-            // There is room for one more group, because a group is stored before it is known
-            // whether it is needed.
+            // There is room for one more group, because `Reach::groups` stores a group before it
+            // checks whether the group is needed.
             groups: vec![[0; 4]; voxels / VOXELS_PER_GROUP + 1],
         }
     }

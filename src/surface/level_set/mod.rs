@@ -47,7 +47,7 @@ const TOO_FAR: &str = "a vertex is not finite, or more than 2^29 cells from the 
                        use larger cells";
 /// The lattice of an empty mesh.
 const UNIT: Lattice = Lattice { origin: [0.0; 3], step: 1.0 };
-/// Number of blocks for each thread that are computed together.
+/// Number of blocks that are computed together, per thread.
 const BLOCKS_PER_THREAD: usize = 8;
 /// Number of triangles that one task assigns to blocks.
 const TRIANGLES_TOGETHER: usize = 1 << 14;
@@ -136,7 +136,7 @@ impl LevelSet {
 
     /// Calls `make` with the leaves of each block, on all threads, and `take` with the results, one
     /// after another. The order depends only on the mesh. The results of a few blocks are in memory
-    /// at a time. While it runs, its lists take about 6 bytes for each triangle.
+    /// at a time. The lists of triangles near each block take about 6 bytes for each triangle.
     ///
     /// # Errors
     /// If `make` or `take` fails for a block.
@@ -318,8 +318,8 @@ mod tests {
         Mesh { positions, triangles, ..Mesh::default() }
     }
 
-    /// Compares all distances with the distances from all triangles. Returns the number of voxels
-    /// in the band.
+    /// Compares the distance of each voxel in the band with the least distance from any triangle.
+    /// Returns the number of voxels in the band.
     fn check_distances(level_set: &LevelSet) -> i32 {
         let mut checked = 0;
         for leaf in leaves(level_set) {

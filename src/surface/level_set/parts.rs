@@ -27,23 +27,23 @@ const VERTEX_BYTES: u64 = 108;
 
 /// Approximate memory, in bytes, that [`for_each_part`] needs for a mesh with this number of
 /// vertices, whose attributes have `components` components in total. `in_files` says whether the
-/// mesh is in files, or `None` that its pieces have no outlines.
+/// mesh is in files, and is `None` if the mesh's pieces have no outlines.
 pub fn part_bytes(vertices: u64, components: u64, in_files: Option<bool>) -> u64 {
     let [files, memory] = TRIANGLES_AT_ONCE.map(|triangles| triangles / 2);
     let most = in_files.map_or(u64::MAX, |in_files| if in_files { files } else { memory });
     (VERTEX_BYTES + components * size_of::<f32>() as u64) * vertices.min(most)
 }
 
-/// Blocks, and the pieces with triangles near them, in ascending order.
+/// Blocks, and the pieces with triangles near these blocks. The pieces are in ascending order.
 struct Part {
     blocks: HashSet<IVec3>,
     pieces: BTreeSet<usize>,
 }
 
-/// Calls `take` with each part of a closed mesh. Together, the parts have each block exactly once.
-/// A part takes 24 bytes for each vertex, 12 bytes for each triangle, and the memory of all
-/// attributes. `at_once` replaces the usual maximum number of triangles in the pieces of a part
-/// with more than one block. The division changes no distance.
+/// Calls `take` with each part of a closed mesh. Each block is in exactly one part. A part takes 24
+/// bytes for each vertex, 12 bytes for each triangle, and the memory of all attributes. `at_once`
+/// replaces the usual maximum number of triangles in the pieces of a part with more than one block.
+/// The distances do not depend on the division into parts.
 ///
 /// # Errors
 /// If `mesh` cannot be read; [`io::ErrorKind::OutOfMemory`] if there is too little memory;

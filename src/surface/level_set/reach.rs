@@ -52,7 +52,8 @@ impl Reach {
     /// Returns `None` if the triangles are nearest to no voxel of the block. If there are several
     /// triangles, they must be nearly parallel.
     pub fn of(near: &NearTriangles, triangles: &[NearTriangle]) -> Option<Self> {
-        // Large coordinates are clamped, because they would lose digits that matter.
+        // Large coordinates are clamped, because f32 sums with large numbers lose digits that
+        // matter.
         let [least, most] = [-2.0 * BAND, BLOCK as f32 + 2.0 * BAND].map(Vec3A::splat);
         let (mut low, mut high) = (most, least);
         let (mut spread, mut normal) = (0.0, Vec3A::ZERO);
@@ -178,8 +179,8 @@ impl Reach {
     }
 }
 
-/// The greater number of each pair; the number in `b` if the number in `a` is NaN. Unlike this,
-/// [`Vec4::max`] treats NaN differently on different processors.
+/// The greater number of each pair; the number in `b` if the number in `a` is NaN. [`Vec4::max`]
+/// would treat NaN differently on different processors.
 fn greater_of_each(a: Vec4, b: Vec4) -> Vec4 {
     Vec4::from_array(std::array::from_fn(|i| greater(a[i], b[i])))
 }

@@ -1,11 +1,11 @@
 //! The side of a closed mesh on which each voxel of a block is.
 //!
 //! A column is a line of voxels along z. The side changes where the column crosses a triangle.
-//! Crossings are found in integers, and each column counts as shifted by an infinitely small step,
-//! so that a column crosses an edge or a vertex exactly as often as it crosses the surface there. A
-//! column without crossings gets its side from a neighbouring column, or from a triangle that is
-//! visible from one of its voxels. Where the mesh passes through itself, columns can contradict
-//! each other. In that case, the majority of connected voxels decides on their common side.
+//! Crossings are computed in integers. Each column is treated as if it were shifted by an
+//! infinitely small step, so that it never passes exactly through an edge or a vertex. A column
+//! without crossings gets its side from a neighbouring column, or from a triangle that is visible
+//! from one of its voxels. Where the mesh passes through itself, columns can contradict each other.
+//! In that case, the majority of connected voxels decides on their common side.
 
 use std::ops::RangeInclusive;
 
@@ -19,9 +19,10 @@ use super::{BAND, BLOCK};
 
 /// Number of bits after the binary point of a [`Place`].
 const FRACTION: u32 = 20;
-/// Added to a coordinate before it is rounded, because converting a positive number to an integer
-/// rounds down without a function call. A negative sum is rounded up, which does no harm because
-/// all triangles of a block round a vertex in the same way.
+/// Number that is added to a coordinate before it is rounded, so that the sum is usually positive.
+/// Converting a positive number to an integer rounds down without a function call. A negative sum
+/// is rounded up, which does no harm because all triangles of a block round a vertex in the same
+/// way.
 const OFFSET: i64 = 1 << (52 - FRACTION);
 /// Number of columns along the edge of a block, and of voxels in a column.
 const EDGE: usize = BLOCK as usize;
@@ -31,10 +32,11 @@ const APART: f32 = 1.0001;
 /// The square of the distance from the surface, in voxels, above which a voxel is deep: two
 /// neighbouring deep voxels are on the same side.
 const DEEP: f32 = APART * APART / 4.0;
-/// The square of the distance, in voxels, below which a voxel is on the surface, so that either
-/// side is right.
+/// The square of the distance, in voxels, below which a voxel counts as lying on the surface, where
+/// either side is right.
 const ON_SURFACE: f32 = 1e-10;
-/// The length, in voxels, by which a line of sight ends inside a triangle instead of at its edge.
+/// The distance, in voxels, by which the end of a line of sight is moved from the nearest point of
+/// a triangle towards the triangle's centroid.
 const INWARDS: f64 = 0.1;
 /// Number of bits of each number in [`Sides::entries`].
 const COUNT_BITS: usize = 3;
@@ -252,7 +254,7 @@ impl Sides {
 
     /// The sides of deep voxels. All voxels of a connected set get the same side: the side on which
     /// most of the set's voxels in crossed columns are. If the two sides have equally many of these
-    /// voxels, the set gets the side on which most of all its voxels are.
+    /// voxels, the set gets the side on which the majority of all its voxels are.
     fn vote(&self, deep: &[u64]) -> Vec<u64> {
         let mut voted = vec![0; EDGE * EDGE];
         let mut unvisited = deep.to_vec();
@@ -294,8 +296,8 @@ impl Sides {
         voted
     }
 
-    /// Sets the sides of a column's voxels: deep voxels get the sides that were voted for, and the
-    /// others those of the candidate that agrees best with the votes.
+    /// Sets the sides of a column's voxels. Deep voxels get the sides from the vote. All other
+    /// voxels get the sides of the candidate that agrees with the vote at the most deep voxels.
     fn apply_vote(&mut self, column: usize, voted: u64, deep: u64) {
         let candidates = if self.is_crossed(column) {
             [0, -1, 1].map(|least| self.crossed(column, least))
@@ -362,7 +364,8 @@ fn turn(a: Place, b: Place, c: Place) -> i128 {
     product(b[0] - a[0], c[1] - a[1]) - product(b[1] - a[1], c[0] - a[0])
 }
 
-/// Converts a [`turn`], which is fast for the turns of all but the largest triangles.
+/// Converts a [`turn`]. The conversion is fast if the turn fits into 64 bits, which is the case for
+/// all but very large triangles.
 fn to_float(turn: i128) -> f64 {
     i64::try_from(turn).map_or(turn as f64, |turn| turn as f64)
 }

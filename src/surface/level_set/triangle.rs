@@ -1,4 +1,4 @@
-//! Distances from triangles, to four voxels at a time.
+//! Distances from triangles to voxels, computed for four voxels at a time.
 //!
 //! Each triangle has its own coordinate system, in which the triangle lies in the plane z = 0, with
 //! the first corner at the origin and the first edge along x. In this system, a point's squared

@@ -1,8 +1,9 @@
 //! The surface of one block before stitching: signs and samples of edges, without indices.
 //!
 //! Every dual edge belongs to the tile of 4^3 cells that contains its lower cell, and every dual
-//! cell to the tile of its lowest corner. Within a tile, vertices are ordered by axis, then by cell
-//! (x fastest); tiles are in Morton order. This order does not depend on blocks, bricks or threads.
+//! cell belongs to the tile that contains its lowest corner. Within a tile, vertices are ordered by
+//! axis, then by cell (x fastest). Tiles are in Morton order. This order does not depend on blocks,
+//! bricks or threads.
 
 use glam::IVec3;
 
@@ -165,7 +166,8 @@ pub struct BlockMesh {
     pub level: BlockLevel,
     /// The tiles with vertices or triangles, in Morton order.
     pub tiles: Vec<Tile>,
-    /// The stored bits of every vertex: the field at both ends of its edge, or a fraction.
+    /// The stored bits of every vertex: the field at both ends of the vertex's edge, or the
+    /// vertex's position on this edge, as a fraction.
     pub ends: Vec<[u16; 2]>,
     /// The outward normal of every vertex; empty if no normals were requested.
     pub normals: Vec<[f32; 3]>,

@@ -382,7 +382,7 @@ fn sorted(count: usize, corners: &(impl Fn(usize) -> [DVec3; 3] + Sync)) -> Vec<
     items.into_par_iter().map(|(_, number)| number).collect()
 }
 
-/// Sorts triangles so that consecutive ones are near each other and of similar size.
+/// Sorts triangles so that consecutive triangles are near each other and of similar size.
 fn divide(items: &mut [Item]) {
     if items.len() <= WIDTH {
         return;
@@ -437,8 +437,8 @@ fn squared_distances(node: &Node, point: [f64; 3]) -> Lanes {
             or_zero(greater(below[1], above[1])),
             or_zero(greater(below[2], above[2])),
         ];
-        // There is no margin for rounding, because a search with a margin would visit all triangles
-        // that meet at the nearest point, which can be many.
+        // The distance from a box has no margin for rounding. With a margin, a search would visit
+        // all triangles that meet at the nearest point, and these can be many.
         let from_box = dot(outside, outside);
         let from_centre = minus(point, at_lane(&node.centre, lane));
         let height = dot(from_centre, at_lane(&node.normal, lane));

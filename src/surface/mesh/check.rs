@@ -81,8 +81,8 @@ pub struct Topology {
     pub pinched_vertices: Defects<u32>,
     /// Triangles with the same three vertices as an earlier triangle, in any orientation.
     ///
-    /// A twin is not a defect by itself: two triangles back to back are closed and manifold. Every
-    /// other twin also shows up in `crowded_edges` or `misoriented_edges`.
+    /// A twin is not a defect by itself, because two triangles back to back can form a closed
+    /// manifold. All other twins also cause `crowded_edges` or `misoriented_edges`.
     pub twin_triangles: Defects<[u32; 3]>,
     /// Vertices without a sound triangle. They are not a defect.
     pub unreferenced_vertices: Defects<u32>,
@@ -96,7 +96,7 @@ impl Topology {
     }
 
     /// Whether no two triangles traverse an edge in the same direction. If three triangles share an
-    /// edge, at least two of them do so.
+    /// edge, at least two of them traverse the edge in the same direction.
     #[must_use]
     pub fn is_oriented(&self) -> bool {
         self.misoriented_edges.is_none() && self.crowded_edges.is_none()

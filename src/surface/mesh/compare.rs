@@ -63,8 +63,8 @@ pub struct Distances {
 
 /// Measures the distances between `mesh` and `reference`, in both directions.
 ///
-/// Triangles with a missing or repeated vertex are left out. The reference need not be closed; in
-/// that case, the bias is positive if the mesh is on the side that the reference's triangles face.
+/// Triangles with a missing or repeated vertex are left out. The reference may be open; the bias is
+/// then positive if the mesh is on the side that the reference's triangles face.
 ///
 /// # Errors
 /// If either mesh has no surface, or an invalid vertex: see [`CompareError`].
@@ -196,9 +196,10 @@ impl SearchableSurface {
         if side < 0.0 { -distance } else { distance }
     }
 
-    /// A vector that points outwards at the nearest point: the triangle's normal; on an edge, the
-    /// sum of the unit normals of both triangles; on a vertex, the sum of the unit normals of all
-    /// its triangles, weighted by their angles.
+    /// A vector that points outwards at the nearest point. Inside a triangle, it is the triangle's
+    /// normal. On an edge, it is the sum of the unit normals of the edge's triangles. On a vertex,
+    /// it is the sum of the unit normals of the vertex's triangles, weighted by their angles at the
+    /// vertex.
     fn pseudo_normal(&self, nearest: &SurfacePoint) -> DVec3 {
         let [a, b, c] = self.tree.triangles()[nearest.triangle];
         match nearest.place {

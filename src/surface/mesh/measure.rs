@@ -1,10 +1,10 @@
 //! Area, volume, components, genus and the shapes of the triangles.
 //!
 //! The volume is the sum of the signed volumes of the tetrahedra between each triangle and a vertex
-//! of its own component (the divergence theorem). The sum uses compensated rounding (Neumaier
-//! 1974), so the distances from the origin and between components do not reduce the precision. The
-//! genus follows from Euler's `V - E + F = 2 (components - genus)`. Sums are computed over chunks
-//! of fixed length, and added in order.
+//! of its own component (the divergence theorem), so distances from the origin and between
+//! components do not reduce the precision. Compensated summation (Neumaier 1974) reduces rounding
+//! errors. The genus follows from Euler's `V - E + F = 2 (components - genus)`. Sums over chunks of
+//! fixed length are added in order, so the results do not depend on the number of threads.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -40,7 +40,7 @@ pub struct Measures {
     pub volume: Option<f64>,
     /// Number of components. Different components share no vertex.
     pub components: usize,
-    /// Number of components that enclose almost nothing, such as two triangles back to back.
+    /// Number of components that enclose almost no volume, such as two triangles back to back.
     pub flat_components: usize,
     /// The Euler characteristic: vertices - edges + triangles, where only vertices that triangles
     /// use are counted.
@@ -103,7 +103,7 @@ fn bounds(mesh: &Mesh) -> Option<[DVec3; 2]> {
     used.map(|p| [p, p]).reduce(|[low, high], [p, _]| [low.min(p), high.max(p)])
 }
 
-/// A sum with compensated rounding.
+/// A sum that compensates rounding errors (Neumaier 1974).
 #[derive(Debug, Clone, Copy, Default)]
 struct Total {
     sum: f64,

@@ -1,5 +1,6 @@
-//! Orders a mesh for renderers and codecs. Triangles are ordered so that their vertices are reused
-//! while the vertices are in the cache. Vertices are ordered by their first use.
+//! Orders a mesh for renderers and codecs. Triangles that share vertices are close together in the
+//! order, so that renderers reuse vertices while these are in the vertex cache. Vertices are
+//! ordered by their first use.
 
 use std::borrow::Cow;
 use std::io;

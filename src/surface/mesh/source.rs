@@ -143,8 +143,8 @@ pub trait MeshSource: Sync {
     }
 
     /// A mesh that looks the same from a distance, but has only about a quarter of the triangles;
-    /// `None` if such a mesh is not cheap to make. It may have fewer triangles than its outline
-    /// says.
+    /// `None` if the source cannot make such a mesh cheaply. The mesh may have fewer triangles than
+    /// its outline says.
     ///
     /// # Errors
     /// If the pieces are in a file that cannot be read.
@@ -313,7 +313,7 @@ impl MeshSource for MeteredMesh<'_> {
 /// The minimum and the maximum corner of a box.
 pub type Corners = [[f64; 3]; 2];
 
-/// The bounding box of positions; `None` if there are none.
+/// The bounding box of positions; `None` if `positions` is empty.
 pub fn bounds_of(positions: &[[f64; 3]]) -> Option<Corners> {
     positions.iter().map(|&p| [p, p]).reduce(joined)
 }

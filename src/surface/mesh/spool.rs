@@ -12,7 +12,8 @@ use crate::system::scratch::Scratch;
 
 use super::{BlockMesh, Tile};
 
-/// Where the surface of a block is stored, and where it is in the whole mesh.
+/// Where the surface of a block is stored, and the numbers of its first vertex and its first
+/// triangle in the whole mesh.
 #[derive(Debug, Clone, Copy)]
 struct SpoolEntry {
     block: IVec3,
@@ -91,7 +92,7 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
     (size_of::<[u16; 2]>() + normal + attributes) as u64
 }
 
-/// Estimated size of tiles per vertex, in bytes.
+/// Estimated size, in bytes, of a surface's tiles, divided by its number of vertices.
 pub const TILE_SHARE: u64 = 4;
 
 /// Size, in bytes, of the surfaces of `blocks` blocks that have `vertices` vertices in total and

@@ -150,11 +150,11 @@ impl TriangleTree {
 
     /// The winding number of the surface around a place, if the surface is closed.
     ///
-    /// It is the sum over the triangles that a line from the place crosses: 1 if the triangle
-    /// faces along the line, otherwise -1. The edges of a triangle decide whether the line crosses
-    /// it, and an edge gives the same decision for both of its triangles, so the sum is the same
-    /// for every line. The line runs along the axis in which the mesh is shortest, to the nearer
-    /// end.
+    /// The winding number is a sum over the triangles that a line from the place crosses. Each
+    /// triangle adds 1 if it faces along the line, otherwise -1. The edges of a triangle decide
+    /// whether the line crosses the triangle. An edge gives the same decision for both of its
+    /// triangles, so the sum is the same for every line. The line runs along the axis in which the
+    /// mesh is shortest, towards the nearer end of the mesh.
     #[must_use]
     pub fn winding_number(&self, place: DVec3) -> i32 {
         let [lo, hi] = self.bounds;
@@ -206,7 +206,7 @@ pub struct NearTriangles<'a> {
 }
 
 impl NearTriangles<'_> {
-    /// The distance of a place from these triangles, and the nearest of them, if the distance is
+    /// The distance of a place from these triangles, and the nearest triangle, if the distance is
     /// at most `most`. The search is faster if `near` is a triangle close to the place. Except for
     /// rounding, the distance depends neither on `most` nor on `near`.
     #[must_use]

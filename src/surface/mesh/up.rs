@@ -1,4 +1,5 @@
-//! The axis that points up. Programs disagree on whether it is y or z, and few formats record it.
+//! The axis that points up. Programs disagree on whether y or z points up, and few file formats
+//! record the axis.
 
 use std::borrow::Cow;
 use std::fmt;

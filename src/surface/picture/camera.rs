@@ -11,7 +11,7 @@ const FILLED: f64 = 0.94;
 /// The distance of the near plane from the eye, as a fraction of the distance to the target.
 const NEAREST: f64 = 1e-3;
 
-/// Maximum magnitude of coordinates that are drawn. The squares of larger coordinates would
+/// Maximum magnitude of coordinates that are drawn. With larger coordinates, products could
 /// overflow. Vertices with larger coordinates do not affect the bounding box either.
 pub(super) const FARTHEST: f64 = 1e100;
 

@@ -34,8 +34,8 @@ const ABSORPTION: Vec3 = Vec3::new(9.0, 2.6, 1.1);
 const SCATTERED: Vec3 = Vec3::new(0.004, 0.105, 0.26);
 /// The rate at which the added radiance increases with the path length, per radius of the scene.
 const SCATTERING_RATE: f32 = 6.0;
-/// Diffuse reflection of water, for a film and for deep water. Without it, drops, thin sheets and
-/// the shape of the water would be invisible.
+/// Diffuse reflection of water, for a film and for deep water. Without diffuse reflection, drops,
+/// thin sheets and the shape of the water would be invisible.
 const DIFFUSE: [f32; 2] = [0.34, 0.42];
 const DIFFUSE_COLOUR: Vec3 = Vec3::new(0.10, 0.38, 0.66);
 
@@ -137,7 +137,7 @@ pub(super) fn quick_exp(x: f32) -> f32 {
 }
 const EXPONENT_BIAS: f32 = (f32::MAX_EXP - 1) as f32;
 
-/// The radiance of a surface, of which the fraction `share` is covered by a dark wire.
+/// The radiance of a place where a dark wire covers the fraction `share` of the surface.
 pub(super) fn wire(surface: Vec3, share: f32) -> Vec3 {
     surface.lerp(WIRE_COLOUR, share)
 }

@@ -1,4 +1,5 @@
-//! A set of numbers within a range, one bit each, with the rank of each member.
+//! A set of numbers within a range, stored as one bit per number. The rank of a member is the
+//! number of smaller members.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};

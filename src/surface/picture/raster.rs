@@ -3,10 +3,10 @@
 //!
 //! Corners are rounded to 1 / 256 of the distance between samples, and integer arithmetic decides
 //! whether a sample is inside a triangle. A sample on an edge belongs to the triangle below or to
-//! the right. A closed surface therefore has no cracks, and every line of sight leaves it as often
-//! as it enters. A sample stores an integer sum and a maximum over triangles, which do not depend
-//! on the triangles' order. Therefore, any thread may draw small triangles. Each thread draws the
-//! parts of large triangles in its own rows.
+//! the right. Therefore, a closed surface has no cracks, and every line of sight leaves the fluid
+//! as often as it enters the fluid. A sample stores an integer sum and a maximum over triangles,
+//! which do not depend on the triangles' order. Therefore, any thread may draw small triangles.
+//! Each thread draws the parts of large triangles in its own rows.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -23,12 +23,12 @@ const STEP_BITS: u32 = 8;
 /// Maximum distance of a corner from the picture's first sample, in steps; triangles that extend
 /// farther are clipped.
 const FAR: i32 = 1 << 28;
-/// Path lengths are stored in steps. The distance from the eye to the farthest place has this
-/// number of steps.
+/// Number of steps in the distance from the eye to the farthest place. Path lengths are stored in
+/// these steps.
 const PATH_STEPS: f64 = (1 << 26) as f64;
 
-/// Maximum number of samples in the box of a triangle that any thread may draw. Larger triangles
-/// are drawn faster without concurrent writes.
+/// Maximum number of samples in the box of a triangle that any thread may draw. For larger
+/// triangles, it is faster if only one thread writes to each row.
 const MOST_SMALL_SAMPLES: i64 = 4;
 
 /// A corner of a triangle on the picture.
@@ -155,9 +155,9 @@ impl Raster {
         ]
     }
 
-    /// Draws a triangle if its box contains few samples. Any thread may draw such triangles.
-    /// Otherwise draws nothing, and returns the triangle's rows, which are all rows if a corner is
-    /// behind the eye or too far to the side.
+    /// Draws a triangle if its box contains few samples, and returns `None`. Any thread may call
+    /// this function. For all other triangles, draws nothing and returns the triangle's rows, which
+    /// are all rows if a corner is behind the eye or too far to the side.
     #[inline(always)]
     pub(super) fn draw_if_small(&self, number: u32, corners: [Corner; 3]) -> Option<Range<i32>> {
         if !are_projected(corners) {

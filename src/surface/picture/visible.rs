@@ -160,9 +160,9 @@ impl VisibleTriangles {
         Ok(())
     }
 
-    /// The point of a triangle that is visible at the place `towards` of the picture. `towards` has
-    /// its distances to the right and up from the picture's middle, in units of the picture's
-    /// height.
+    /// The point of a triangle that is visible at the place `towards` of the picture. The
+    /// coordinates of `towards` are the distances of this place to the right and up from the
+    /// picture's middle, in units of the picture's height.
     pub(super) fn point(&self, triangle: u32, towards: Vec2) -> VisiblePoint {
         let (corners, _, [a, b, c]) = self.around(triangle, towards);
         let shares = [b.perp_dot(c), c.perp_dot(a), a.perp_dot(b)];

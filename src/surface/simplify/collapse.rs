@@ -3,13 +3,14 @@
 //! Each step moves a vertex onto a neighbour, in order of increasing quadric error (Garland and
 //! Heckbert, Surface simplification using quadric error metrics, 1997). Around the vertex, the mesh
 //! must stay a 2-manifold (Dey et al., Topology preserving edge contraction, 1999), and no triangle
-//! may turn over or become a sliver. The distances between the two surfaces must stay within the
-//! tolerance in both directions.
+//! may turn over or become a sliver. The simplified surface and the reference surface must stay
+//! within the tolerance of each other.
 //!
-//! Every removed vertex of the reference has a closest triangle within the tolerance. When
-//! triangles change, the vertices for which the old triangles were closest must find closest
-//! triangles among the new ones. If one triangle is close to two vertices, it is also close to the
-//! segment between them, because triangles are convex; other segments are bisected.
+//! Every removed vertex of the reference has a closest triangle on the simplified surface, within
+//! the tolerance. When a collapse replaces triangles, it searches the new triangles for a closest
+//! triangle of every vertex whose closest triangle was replaced. If one triangle is close to both
+//! ends of a segment, the triangle is also close to the whole segment, because triangles are
+//! convex. Segments for which no such triangle is known are bisected.
 
 use glam::{Vec3A, Vec4};
 
@@ -34,9 +35,9 @@ const EXTRA_SAMPLES: i32 = 4;
 /// triangles is at least `FLAT`.
 const CLOSE_SHARE: f32 = 0.75;
 const FLAT: f32 = 0.9;
-/// Suppose that no segment around a removed vertex needed a check. These segments still need no
-/// check as long as the vertex is close to its closest triangle (`CLOSE_SHARE`), and the cosine
-/// between this triangle's normal and the normal at that time is at least this.
+/// If no segment around a removed vertex needed a check, later collapses skip these segments as
+/// long as the vertex is close to its closest triangle (`CLOSE_SHARE`), and the cosine between this
+/// triangle's normal and `CollapseState::unchecked_normal` is at least this.
 const STEADY_COSINE: f32 = 0.98;
 /// Maximum number of bisections of a segment.
 const HALVINGS: u32 = 4;
@@ -54,7 +55,8 @@ const SLIVER: f32 = 0.03;
 /// Maximum number of triangles in a closed part whose volume is checked in every collapse. Without
 /// this check, a part smaller than the tolerance could vanish or turn inside out.
 const MOST_CHECKED_TRIANGLES: usize = 16;
-/// A collapse must leave at least this fraction of the volume of such a part.
+/// A collapse must leave at least this fraction of the volume of a part that is checked
+/// (`MOST_CHECKED_TRIANGLES`).
 const LEAST_VOLUME_SHARE: f32 = 0.5;
 
 /// The reference surface and the limits for the collapses in a patch.
@@ -66,11 +68,13 @@ pub struct Measure<'a> {
     pub outgoing: &'a OutgoingEdges,
     /// Normals of the reference at all vertices.
     pub normals: &'a [Vec3A],
+    /// The tolerance, in cells.
     pub distance: f32,
 }
 
-/// For each vertex of `reference` that `surface` lacks, finds the closest triangle on `surface`.
-/// Each search starts from a neighbour's result.
+/// For each vertex of `reference` that no triangle of `surface` uses, searches `surface` for a
+/// triangle within the tolerance, and stores it as the vertex's closest triangle. Each search
+/// starts from a triangle at a neighbouring vertex, or from that vertex's closest triangle.
 pub fn find_closest_triangles(
     reference: &EditableMesh,
     surface: &mut EditableMesh,
@@ -108,7 +112,7 @@ pub fn find_closest_triangles(
                     found_some = true;
                 }
             }
-            // Another corner might give a better result, but each triangle is tried only once.
+            // A search from another corner might succeed, but each triangle is tried only once.
             false
         });
     }
@@ -177,11 +181,12 @@ struct CollapseState<'a, 'b> {
     /// For each removed vertex, the normal of its closest triangle if no segment around the vertex
     /// needed a check, and otherwise zero.
     unchecked_normal: Vec<Vec3A>,
-    /// Vertices at the other ends of checked segments, whose own segments must be checked again.
+    /// Vertices at the other ends of segments that needed a check in the current collapse. After
+    /// the collapse, their `unchecked_normal` is set to zero.
     checked_ends: Vec<u32>,
     quadrics: Vec<Quadric>,
-    /// For each vertex, the smallest error of moving it onto a neighbour, and this neighbour;
-    /// `NONE` if they are not computed yet.
+    /// For each vertex, the smallest error of moving it onto a neighbour, and this neighbour. The
+    /// neighbour is `NONE` if the error must be computed.
     best: Vec<(f32, u32)>,
     /// Vertices whose neighbourhood has changed.
     changed: Vec<u32>,
@@ -300,8 +305,8 @@ impl CollapseState<'_, '_> {
             self.changed.clear();
             queue.sort_unstable();
             for vertex in queue.drain(..).map(|entry| entry as u32) {
-                // After a change nearby, the vertex is left for a later round, in which it may have
-                // a better target.
+                // If this round has changed the vertex's neighbourhood, the vertex waits for the
+                // next round, in which it may have a better target.
                 if !self.is_changed[vertex as usize] {
                     self.try_vertex(vertex, limit);
                 }
@@ -424,7 +429,8 @@ impl CollapseState<'_, '_> {
             std::mem::replace(&mut self.first[state.triangle() as usize], vertex);
     }
 
-    /// Whether no triangle turns over, folds back or becomes a worse sliver than before.
+    /// Whether no triangle turns over or folds back, and no new triangle is a worse sliver than
+    /// every old triangle.
     fn keeps_shapes(&mut self, target: u32, ring: &[Incident]) -> bool {
         let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD_COSINE;
         let (place, mut from) = (self.position(target), self.position(ring[1].rim));
@@ -546,8 +552,8 @@ impl CollapseState<'_, '_> {
     }
 
     /// For each vertex whose closest triangle changes, finds the closest of the new triangles.
-    /// Returns `false` if all new triangles are too far from one of these vertices, or face away
-    /// from its normal.
+    /// Returns `false` if, for one of these vertices, every new triangle is too far away or faces
+    /// away from the vertex's normal.
     fn find_new_closest_triangles(&mut self, vertex: u32, ring: &[Incident]) -> bool {
         self.moved.clear();
         self.mark += 1;
@@ -637,7 +643,8 @@ impl CollapseState<'_, '_> {
                         needed_no_check = false;
                         checked_ends.push(other);
                     }
-                    // If both ends have moved and need a check, one check is enough.
+                    // If both ends have new closest triangles and need a check, one check is
+                    // enough.
                     needs_no_check
                         || self.marks[other as usize] == self.mark
                             && other < moved.vertex
@@ -694,8 +701,8 @@ impl CollapseState<'_, '_> {
                 (true, false) => p = middle,
                 (false, true) => q = middle,
                 (false, false) => {
-                    // On a crest, the normal is not reliable, so triangles may face in any
-                    // direction.
+                    // On a crest, normals are not reliable. With a zero normal, the search accepts
+                    // triangles that face in any direction.
                     let between =
                         self.surface.near_triangle(closest[0], middle, Vec3A::ZERO, within);
                     return between.is_some_and(|(between, _)| {

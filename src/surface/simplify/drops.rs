@@ -2,10 +2,12 @@
 //!
 //! Each block's triangles are divided into parts; parts that share a vertex belong to one
 //! component. A block's triangles refer only to vertices of the block itself and of later blocks,
-//! so one pass over the blocks in order finds all vertices that blocks share. By the divergence
-//! theorem, a part's contribution to the volume is a sum over its triangles, relative to a corner
-//! of its block. With the sum of the triangles' area vectors, the contribution can be converted to
-//! another corner.
+//! so one pass over the blocks in order finds all vertices that blocks share.
+//!
+//! By the divergence theorem, the volume of a component is a sum over its triangles. Each part
+//! stores its share of this sum, computed relative to a corner of its block. Each part also stores
+//! the sum of its triangles' area vectors, with which `join` converts the share to the corner of
+//! another block.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -64,7 +66,8 @@ pub fn smaller_than(
     let meter = control.meter(Stage::Simplifying, 2 * pieces).between(0.0, MEASURING);
     let mut components = Components::default();
     let mut firsts = Vec::with_capacity(pieces);
-    // Vertices of later blocks, each with the number of a component that uses it.
+    // Vertices of later blocks that parts of earlier blocks use, each with the number of one of
+    // these parts.
     let mut awaited: BTreeMap<u64, u32> = BTreeMap::new();
     in_batches(
         pieces,

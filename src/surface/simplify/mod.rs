@@ -1,14 +1,16 @@
 //! Simplifies a surface within a tolerance, chunk by chunk, including the seams between chunks.
 //!
 //! A chunk is a cube of 2^3 blocks of the widest level. The first pass simplifies the triangles
-//! inside each chunk, with its border locked. The second pass does the same with chunks that are
-//! shifted by half a chunk, for the triangles on and near the former borders. Both passes measure
-//! against the original surface, so the result is within the requested distance of the original
-//! surface, and every vertex of the original surface is within this distance of the result.
+//! inside each chunk, with the chunk's border locked. The second pass uses chunks that are shifted
+//! by half a chunk, and simplifies the triangles on and near the borders of the first pass. Both
+//! passes measure against the original surface, so the result is within the requested distance of
+//! the original surface, and every vertex of the original surface is within this distance of the
+//! result.
 //!
 //! The remaining vertices are vertices of the original surface, and keep their positions, normals
 //! and attributes. Chunks do not depend on the number of threads or on the memory limit. Only the
-//! current chunks, one bit per vertex, and as many triangles as the limit allows are in memory.
+//! current chunks, one bit per vertex, and triangles up to the memory limit are in memory. If the
+//! triangles exceed this limit, they are moved to scratch files.
 //!
 //! The guide for users is `guide.md`.
 
@@ -48,7 +50,7 @@ const PIN_SPACING: i32 = 16;
 const BAND: i32 = 4;
 /// The fraction of the stage's progress that the measurement of components takes.
 const MEASURING: f64 = 0.1;
-/// Edge length, in cells, of the boxes with which nearby triangles are found.
+/// Edge length, in cells, of the boxes of [`NearCells`].
 const BOX: i32 = 4;
 
 /// Triangles, given by their vertex numbers in the whole mesh.
@@ -90,7 +92,7 @@ pub struct Reduction {
 const DROP_VOLUME: f64 = 0.85;
 
 impl Reduction {
-    /// Whether nothing is reduced.
+    /// Whether no limit is set.
     pub fn is_none(&self) -> bool {
         *self == Self::default()
     }
@@ -447,7 +449,7 @@ impl SortedTriangles {
     }
 }
 
-/// Boxes of cells near triangles.
+/// Boxes of cells. Each box has a flag: whether one of the given triangles is near the box.
 struct NearCells {
     lo: IVec3,
     size: IVec3,
@@ -553,7 +555,8 @@ impl ChunkVertices {
             for (cell, place) in places {
                 let corner: DVec3 = *corner.get_or_insert(place.floor());
                 let mut position = (place - corner).as_vec3a();
-                // Triangles with two equal positions would have no normal.
+                // A triangle with two equal positions would have no normal, so `x` grows until the
+                // position is unique.
                 while !taken.insert(position.to_array().map(f32::to_bits)) {
                     position.x = position.x.next_up();
                 }

@@ -25,8 +25,8 @@ pub struct EditableMesh<'a> {
     /// For each triangle, its neighbours: first the one across the edge from its first corner to
     /// the second, and so on.
     across: Vec<[u32; 3]>,
-    /// For each vertex, its state. If the vertex is on the border, the state has the first of its
-    /// triangles in counter-clockwise order.
+    /// For each vertex, its state. If the vertex is on the border, the state refers to the first of
+    /// the vertex's triangles in counter-clockwise order.
     states: Vec<VertexState>,
     /// The outward unit normals of the triangles.
     normals: Vec<Vec3A>,
@@ -59,8 +59,8 @@ impl VertexState {
         self.0 & Self::REMOVED != 0
     }
 
-    /// Whether a removed vertex is so close to its closest triangle that segments to other such
-    /// vertices need no check on flat surfaces.
+    /// Whether a removed vertex is close to its closest triangle. On a flat surface, the segment
+    /// between two close vertices needs no check.
     pub fn is_close(self) -> bool {
         self.0 & Self::FAR == 0
     }
@@ -134,8 +134,8 @@ impl<'a> EditableMesh<'a> {
             .collect();
         let mut across = vec![[NONE; 3]; triangles.len()];
         let mut states = vec![VertexState::UNUSED; positions.len()];
-        // For each vertex, the latest edge that was found to start there: the edge's end and its
-        // triangle.
+        // For each vertex, the end and the triangle of the latest edge that was found to start at
+        // this vertex.
         let mut slots = vec![(NONE, NONE); positions.len()];
         for vertex in 0..positions.len() as u32 {
             let edges = outgoing.at(vertex);

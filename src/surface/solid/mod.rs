@@ -2,12 +2,12 @@
 //!
 //! A solid is a closed mesh. A place is inside the solid if the winding number there is nonzero.
 //! Therefore, parts of the mesh may overlap or touch, and a part that lies inside another part and
-//! faces the other way is a cavity. Reversing all triangles gives the same solid. The distance of a
-//! place is its distance from the nearest point on any triangle.
+//! faces the other way is a cavity. Reversing all triangles gives the same solid. The magnitude of
+//! a place's signed distance is the distance to the nearest point on any triangle.
 //!
 //! A distance depends only on the cell, not on the box of cells in a request. Cells are processed
 //! in cubes of 4^3. The distance of a cube's centre limits the searches for the distances of its
-//! cells. The distances of recently used cubes are kept.
+//! cells. A cache keeps the distances of recently used cubes.
 //!
 //! In a periodic box, a solid repeats as the fluid does: it has copies one box width away along
 //! each periodic axis.
@@ -322,8 +322,8 @@ impl PlacedMesh<'_> {
         }
         // Distances inside the mesh are negative.
         let are_inside = if of_middle > to_corner * (1.0 + 1e-9) {
-            // No triangle is between the middle of the cube and its cells, so all of them are on
-            // one side.
+            // No triangle is between the middle of the cube and the centre of a cell, so all cells
+            // are on the same side as the middle.
             [self.contains_local(middle); CELLS]
         } else {
             are_inside(&distances, width, |cell| self.contains_local(centre(cell)))
@@ -371,10 +371,10 @@ fn volume_and_area(mesh: &TriangleTree) -> [f64; 2] {
     [sextuple_volume / 6.0, doubled_area / 2.0]
 }
 
-/// Whether the winding number of a mesh is an integer everywhere: every edge occurs equally often
-/// in both directions. Vertices with the same position are the same vertex.
+/// Whether the winding number of a mesh is an integer everywhere, which is the case if every edge
+/// occurs equally often in both directions. Vertices with the same position count as one vertex.
 ///
-/// Each edge adds a hash of its ends, or subtracts it, depending on the edge's direction. The sum
+/// Each edge adds or subtracts a hash of its ends, depending on the edge's direction. The sum
 /// for a mesh that is not closed is 0 with a probability of 2^-128.
 fn is_closed(mesh: &Mesh) -> bool {
     // Adding 0 turns -0 into 0.
@@ -415,7 +415,7 @@ fn number([high, low]: [u64; 2]) -> u128 {
 
 /// The fault of a mesh that is not closed, with the number of its bad edges.
 fn fault_of(mesh: &Mesh) -> SolidFault {
-    // Vertices with the same position are the same vertex.
+    // Vertices with the same position count as one vertex.
     let mut order: Vec<u32> = (0..mesh.positions.len() as u32).collect();
     let key = |vertex: u32| mesh.positions[vertex as usize].map(|x| (x + 0.0).to_bits());
     order.par_sort_unstable_by_key(|&vertex| (key(vertex), vertex));

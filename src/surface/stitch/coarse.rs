@@ -2,8 +2,8 @@
 //! 1993).
 //!
 //! The vertices of 2 x 2 x 2 cells are merged at their mean position, and triangles with two equal
-//! corners are left out. The result for a closed surface is closed in the sense that matters for
-//! pictures: every line of sight leaves the result as often as it enters it.
+//! corners are left out. If the surface is closed, every line of sight leaves the result as often
+//! as it enters the result, which is the property that pictures need.
 
 use std::io;
 

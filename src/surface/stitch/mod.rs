@@ -1,4 +1,5 @@
-//! Joins the surfaces of all blocks into one mesh, by the identity of dual edges.
+//! Joins the surfaces of all blocks into one mesh. Triangles of different blocks that meet at a
+//! dual edge share the vertex on this edge.
 //!
 //! A vertex's number is the sum of three numbers: the number of the first vertex of its block, the
 //! number of vertices in previous tiles of the block, and the rank of its edge among the tile's

@@ -149,7 +149,8 @@ struct TileRun {
 }
 
 impl TileRun {
-    /// One work group per tile, in rows whose length every device supports.
+    /// The number of work groups along each axis: at least one work group per tile, and at most
+    /// 2^15 work groups along x, which every device supports.
     fn groups(&self) -> [u32; 3] {
         let tiles = self.tiles.len() as u32;
         let width = tiles.clamp(1, 1 << 15);

@@ -1,6 +1,6 @@
 """Converts a sequence to mesh or volume files on a separate thread.
 
-The thread does not access Blender: an `Order` holds copies of all settings.
+The thread does not access Blender, because an `Order` holds copies of all settings.
 """
 
 from __future__ import annotations

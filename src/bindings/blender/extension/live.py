@@ -96,7 +96,10 @@ def surfaces() -> Iterator[bpy.types.Mesh]:
 
 
 def typed(value: float) -> float:
-    """The number as the user typed it: Blender stores it in single precision, where 0.05 is 0.0500000007."""
+    """Rounds a number to 7 significant digits, to restore the number that the user typed.
+
+    Blender stores numbers in single precision, where 0.05 is 0.0500000007.
+    """
     return float(f"{value:.7g}")
 
 

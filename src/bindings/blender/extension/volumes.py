@@ -15,7 +15,7 @@ _LONGEST = 1048574
 
 
 def files_of(output: str) -> Mapping[int, Path]:
-    """The files of a conversion, by their numbers; `output` is their name with {:04} for the number."""
+    """The files of a conversion, by their numbers. `output` is the files' name with {:04} for the number."""
     found = Path(output)
     files = {number_of(str(file)): file for file in found.parent.glob(found.name.replace("{:04}", "*"))}
     return {number: files[number] for number in sorted(number for number in files if number is not None)}

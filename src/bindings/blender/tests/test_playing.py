@@ -45,6 +45,6 @@ def test_a_volume_shows_the_file_of_the_live_surface(timing: Timing) -> None:
     expression = volume_offset(timing, first, last)
     for frame in range(-20, 60):
         offset = eval(expression, {"frame": frame, "floor": floor, "max": max, "min": min})
-        # Blender computes the file number of a Volume in this way.
+        # Blender computes the file number of a Volume with this formula.
         shown = max(frame - timing.start + 1, 1) + offset
         assert shown == shown_at(frames, timing, frame).number, frame

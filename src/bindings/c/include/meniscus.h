@@ -11,7 +11,8 @@
    Structures. Later versions may add fields to the structures whose first field is `size`. Fill such a
    structure with zeros, and set its size and other fields, as in
    `MeniscusReport report = {.size = sizeof report};`. The library accepts the structures of older
-   headers. It also accepts those of newer headers, if all fields that it does not support are 0.
+   headers. It also accepts the structures of newer headers, if all fields that this version of the
+   library does not support are 0.
 
    Memory. Handles (MeniscusOptions, MeniscusMesh, MeniscusFrame, MeniscusSimulation,
    MeniscusCancel) belong to the library, and each is freed by the documented function. Functions
@@ -212,7 +213,7 @@ typedef struct MeniscusMesh MeniscusMesh;
 // files to the system's temporary folder unless "scratch" is set. A call with NULL instead of
 // options uses all defaults.
 //
-// A call copies the options when it starts, so they may be changed or freed as soon as it returns.
+// A call copies the options when it starts, so you may change or free them when the call returns.
 // Several threads may use the same options at the same time, as long as no thread changes or frees
 // them.
 typedef struct MeniscusOptions MeniscusOptions;
@@ -270,8 +271,8 @@ typedef struct MeniscusAttribute {
 // Particles in the caller's memory. Fill the structure with zeros before you set fields.
 //
 // During a call, several threads of the library read the particles in place, several times. The
-// particles must not change meanwhile. Positions may have any unit of length, and all other
-// lengths have the same unit.
+// particles must not change until the call returns. Positions may have any unit of length, and all
+// other lengths have the same unit.
 typedef struct MeniscusParticles {
   // sizeof(MeniscusParticles).
   size_t size;
@@ -551,10 +552,11 @@ MeniscusStatus meniscus_sample_file(const char *path,
 // Computes a surface from a sampled frame.
 //
 // `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
-// the options can change all settings from smoothing to simplifying. Settings that affect the
-// sampling must be unset or the same as before; otherwise, the function returns
-// MENISCUS_STATUS_REQUEST. The memory limit, the threads, the scratch folder and the device are
-// always those of the frame. In all other respects, the function works like meniscus_reconstruct.
+// the options can change the settings of the surface, such as "smooth", "normals" or "simplify".
+// Settings that affect the sampling must be unset or the same as before; otherwise, the function
+// returns MENISCUS_STATUS_REQUEST. The memory limit, the threads, the scratch folder and the
+// device are always those of the frame. In all other respects, the function works like
+// meniscus_reconstruct.
 //
 // Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_frame_surface(const struct MeniscusFrame *frame,
@@ -592,9 +594,10 @@ void meniscus_frame_free(struct MeniscusFrame *frame);
 // Creates a simulation, and starts its threads.
 //
 // If `options` is NULL, all options have their defaults. The callback in `options` and its
-// argument must exist until the simulation is freed. Without a cancel handle, the callback cancels
-// only the current frame; a cancel handle also cancels all later frames. `simulation`: receives
-// the handle, which must be freed by meniscus_simulation_free, or NULL on failure.
+// argument must exist until the simulation is freed. If `options` has no cancel handle, a callback
+// that cancels the work cancels only the current frame. If `options` has a cancel handle, the
+// callback also cancels all later frames. `simulation`: receives the handle, which must be freed
+// by meniscus_simulation_free, or NULL on failure.
 //
 // Pointers must be NULL or point to the described data.
 MeniscusStatus meniscus_simulation_new(const struct MeniscusOptions *options, struct MeniscusSimulation **simulation);
@@ -831,10 +834,10 @@ MeniscusStatus meniscus_options_set_numbers(struct MeniscusOptions *options,
                                             size_t count);
 
 // Sets the function that receives the progress of a frame, and its argument `user`. If `progress`
-// is NULL, no function receives it. meniscus_convert does not call the function.
+// is NULL, the library reports no progress. meniscus_convert does not call the function.
 //
-// A simulation with these options can call this callback until the simulation is freed. All other
-// functions of the library call the callback only before they return.
+// A simulation that was created with these options can call this function until the simulation is
+// freed. All other functions of the library call it only before they return.
 //
 // `options` must be NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
@@ -842,7 +845,7 @@ MeniscusStatus meniscus_options_on_progress(struct MeniscusOptions *options,
                                             void *user);
 
 // Sets the function that receives the events of meniscus_convert, and its argument `user`. If
-// `event` is NULL, no function receives them.
+// `event` is NULL, the library reports no events.
 //
 // `options` must be NULL or a handle that has not been freed.
 MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, MeniscusEventCallback event, void *user);
@@ -850,7 +853,7 @@ MeniscusStatus meniscus_options_on_event(struct MeniscusOptions *options, Menisc
 // Sets the handle with which any thread can cancel the work. If `cancel` is NULL, removes the
 // current handle. The handle may be freed before the options.
 //
-// If a callback cancels the work, this also cancels the handle.
+// If a callback cancels the work, the library also cancels the handle.
 //
 // Pointers must be NULL or handles that have not been freed.
 MeniscusStatus meniscus_options_cancel_by(struct MeniscusOptions *options, const struct MeniscusCancel *cancel);

@@ -23,7 +23,7 @@
 
 namespace meniscus {
 
-// The error of a failed call: what() says what is wrong, and where.
+// The error of a failed call. The text that what() returns says what is wrong, and where.
 class Error : public std::runtime_error {
  public:
   Error(MeniscusStatus status, const std::string &what) : std::runtime_error(what), status(status) {}

@@ -183,10 +183,11 @@ unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
 /// Computes a surface from a sampled frame.
 ///
 /// `options`: NULL for the surface that was requested when the particles were sampled. Otherwise,
-/// the options can change all settings from smoothing to simplifying. Settings that affect the
-/// sampling must be unset or the same as before; otherwise, the function returns
-/// MENISCUS_STATUS_REQUEST. The memory limit, the threads, the scratch folder and the device are
-/// always those of the frame. In all other respects, the function works like meniscus_reconstruct.
+/// the options can change the settings of the surface, such as "smooth", "normals" or "simplify".
+/// Settings that affect the sampling must be unset or the same as before; otherwise, the function
+/// returns MENISCUS_STATUS_REQUEST. The memory limit, the threads, the scratch folder and the
+/// device are always those of the frame. In all other respects, the function works like
+/// meniscus_reconstruct.
 ///
 /// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]

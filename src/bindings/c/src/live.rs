@@ -23,9 +23,10 @@ pub struct MeniscusSimulation {
 /// Creates a simulation, and starts its threads.
 ///
 /// If `options` is NULL, all options have their defaults. The callback in `options` and its
-/// argument must exist until the simulation is freed. Without a cancel handle, the callback cancels
-/// only the current frame; a cancel handle also cancels all later frames. `simulation`: receives
-/// the handle, which must be freed by meniscus_simulation_free, or NULL on failure.
+/// argument must exist until the simulation is freed. If `options` has no cancel handle, a callback
+/// that cancels the work cancels only the current frame. If `options` has a cancel handle, the
+/// callback also cancels all later frames. `simulation`: receives the handle, which must be freed
+/// by meniscus_simulation_free, or NULL on failure.
 ///
 /// Pointers must be NULL or point to the described data.
 #[unsafe(no_mangle)]
@@ -66,7 +67,8 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
             simulation.ok_or_else(|| Failure::request("simulation is NULL"))?;
         // SAFETY: the caller upholds this function's contract.
         let particles = unsafe { CallerParticles::new(particles) }?;
-        // Do not wait for the lock: a callback that requests another frame would wait for itself.
+        // Do not wait for the lock. If a progress callback requests another frame of the same
+        // simulation, its thread would wait for the current frame, which waits for the callback.
         let Some(mut live) = live.try_lock() else {
             return Err(Failure::request("the simulation is already processing another frame"));
         };

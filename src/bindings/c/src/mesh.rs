@@ -115,7 +115,7 @@ impl MeniscusMesh {
                 components: attribute.components as u64,
             };
         let attributes = mesh.attributes.iter().zip(&self.names).map(attribute).collect();
-        // If another thread has already stored a copy of the mesh, this returns that copy.
+        // If another thread has already stored a copy of the mesh, `get_or_init` returns that copy.
         Ok(self.in_memory.get_or_init(|| MeshInMemory { mesh, attributes }))
     }
 

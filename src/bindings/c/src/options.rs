@@ -29,7 +29,7 @@ use crate::text::{array, optional, optional_path, path};
 /// files to the system's temporary folder unless "scratch" is set. A call with NULL instead of
 /// options uses all defaults.
 ///
-/// A call copies the options when it starts, so they may be changed or freed as soon as it returns.
+/// A call copies the options when it starts, so you may change or free them when the call returns.
 /// Several threads may use the same options at the same time, as long as no thread changes or frees
 /// them.
 #[derive(Clone, Default)]
@@ -78,8 +78,8 @@ macro_rules! options {
 options! {
     /// Options of the machine: backend and resources.
     Machine:
-    /// Backend for the computation, auto, cpu or vulkan; the mesh is the same [default: cpu, or
-    /// vulkan if a device is set].
+    /// Backend: auto, cpu or vulkan; all backends make the same mesh [default: cpu, or vulkan if a
+    /// device is set].
     backend: Backend = Backend::read,
     /// Vulkan device, by its number, its UUID or a part of its name [default: the best].
     device: String = |device| device.text().or_else(|_| device.count::<u32>().map(|number| number.to_string())),
@@ -289,8 +289,8 @@ impl RequestParts {
         self.frames.of(Simulation::of_files(inputs, output)).reconstruction(self.request.clone())
     }
 
-    /// Chooses the backend. `input_bytes` returns the size of the input, if known. It is called
-    /// only if the choice depends on the size.
+    /// Chooses the backend. `input_bytes` returns the size of the input, if known. This function
+    /// calls it only if the choice depends on the size.
     pub fn on_machine(
         mut self,
         input_bytes: impl FnOnce(&Reconstruction) -> Option<u64>,
@@ -447,10 +447,10 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
 }
 
 /// Sets the function that receives the progress of a frame, and its argument `user`. If `progress`
-/// is NULL, no function receives it. meniscus_convert does not call the function.
+/// is NULL, the library reports no progress. meniscus_convert does not call the function.
 ///
-/// A simulation with these options can call this callback until the simulation is freed. All other
-/// functions of the library call the callback only before they return.
+/// A simulation that was created with these options can call this function until the simulation is
+/// freed. All other functions of the library call it only before they return.
 ///
 /// `options` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
@@ -467,7 +467,7 @@ pub unsafe extern "C" fn meniscus_options_on_progress(
 }
 
 /// Sets the function that receives the events of meniscus_convert, and its argument `user`. If
-/// `event` is NULL, no function receives them.
+/// `event` is NULL, the library reports no events.
 ///
 /// `options` must be NULL or a handle that has not been freed.
 #[unsafe(no_mangle)]
@@ -486,7 +486,7 @@ pub unsafe extern "C" fn meniscus_options_on_event(
 /// Sets the handle with which any thread can cancel the work. If `cancel` is NULL, removes the
 /// current handle. The handle may be freed before the options.
 ///
-/// If a callback cancels the work, this also cancels the handle.
+/// If a callback cancels the work, the library also cancels the handle.
 ///
 /// Pointers must be NULL or handles that have not been freed.
 #[unsafe(no_mangle)]

@@ -67,8 +67,8 @@ pub struct MeniscusAttribute {
 /// Particles in the caller's memory. Fill the structure with zeros before you set fields.
 ///
 /// During a call, several threads of the library read the particles in place, several times. The
-/// particles must not change meanwhile. Positions may have any unit of length, and all other
-/// lengths have the same unit.
+/// particles must not change until the call returns. Positions may have any unit of length, and all
+/// other lengths have the same unit.
 #[repr(C)]
 #[derive(Debug, Clone, Copy)]
 pub struct MeniscusParticles {

@@ -4,7 +4,7 @@
 
 static float positions[COUNT][3];
 
-/// Checks that a call has failed with this code and message, and has made nothing.
+/// Checks that a call has failed with this code and message, and has returned no handle.
 static void check_failure(MeniscusStatus status, MeniscusStatus expected, const char *message, const void *made, int line) {
   if (status != expected || made || !strstr(meniscus_last_error(), message)) {
     fprintf(stderr, "line %d: status %d instead of %d: %s\n  the message must contain: %s\n", line, status, expected, meniscus_last_error(), message);

@@ -13,8 +13,8 @@ static bool more_to_pick(void) {
   return fuzz_bytes < fuzz_end;
 }
 
-/// A number below `among`, made from the fuzzer's next bytes. When all bytes are used up, it is
-/// always `among - 1`, which never selects a rare case.
+/// A number below `among`, made from the fuzzer's next bytes. When all bytes are used up, the
+/// number is always `among - 1`, which never selects a rare case.
 static uint32_t pick(uint32_t among) {
   uint32_t number = 0;
   for (uint32_t most = among - 1; among > 0 && most > 0; most >>= 8) {
@@ -66,7 +66,7 @@ enum { MOST = 200 };
 static const double EXTENT = 0.4;
 #endif
 
-// The particles' data, in a block that is exactly as large as the structures say, so that valgrind
+// The particles' data. The block is exactly as large as the structures state, so that valgrind
 // detects reads beyond the end of the block.
 static unsigned char *memory;
 static MeniscusAttribute attributes[3];
@@ -127,7 +127,8 @@ static MeniscusParticles *some_particles(MeniscusParticles *particles) {
       one->name = words[rarely(6) ? pick(8) : (uint32_t)i];
       one->values = rarely(15) ? NULL : particles->positions;
       one->components = rarely(12) ? pick(5) * 65535u : 1 + pick(3);
-      // Any type with 4 bytes fits, because the attribute's values are the positions.
+      // The attribute's values are the bytes of the positions. If the coordinates have 4 bytes, the
+      // attribute can have any type of 4 bytes.
       one->number = type == MENISCUS_TYPE_F32 && rarely(3) ? MENISCUS_TYPE_I32 + (int32_t)pick(2) : type;
       one->stride = particles->stride, one->component_stride = particles->component_stride;
       if (one->components > 3 && one->components <= 65536) {
@@ -453,7 +454,7 @@ static void make_calls(const char *folder, uint64_t wanted) {
 }
 
 #ifdef FUZZED
-/// Makes the calls that `bytes` determine. `folder` is empty.
+/// Makes the calls that `bytes` determine. `folder` is the path of an empty folder.
 void meniscus_calls_of_bytes(const char *folder, const unsigned char *bytes, size_t size) {
   fuzz_bytes = bytes, fuzz_end = bytes + size;
   make_calls(folder, 40);

@@ -70,7 +70,7 @@ static inline MeniscusParticles particles_of(float positions[COUNT][3]) {
   return particles;
 }
 
-/// Checks that all threads of the library end. They may take a moment.
+/// Waits until all threads of the library have ended, and fails if they take more than 10 s.
 static inline void wait_for_threads(void) {
   for (int tries = 0;; tries++) {
     int threads = 0;
@@ -91,7 +91,8 @@ static inline void wait_for_threads(void) {
 /// The test that the including file defines; `main` calls it.
 static int test(int count, char **arguments);
 
-/// Whether a graphics driver was used. The threads of a driver keep running after a call.
+/// Whether a graphics driver was used. The threads of a driver keep running after a call, so `main`
+/// then does not wait until all threads have ended.
 static bool driver_used;
 
 static struct { int count; char **arguments; int code; } test_call;

@@ -52,6 +52,6 @@ if __name__ == "__main__":
     base.activateExporter("Mesh exporter", True)
     base.run()
     sys.stdout.flush()
-    # End without cleaning up: the simulator has deleted the exporter, and Python would delete it
-    # again.
+    # Exit without cleaning up, because the simulator has already deleted the exporter, and Python
+    # would delete it again.
     os._exit(0)

@@ -1,8 +1,8 @@
 //! Reads Python arrays in place: NumPy arrays, and objects with DLPack, the array interface or the
 //! buffer protocol.
 //!
-//! This module reads without the interpreter's lock, so another thread may write to an array
-//! meanwhile. The values behind a Rust slice must not change, so the module never makes a slice of
+//! This module reads without the interpreter's lock, so another thread may write to an array at the
+//! same time. The values behind a Rust slice must not change, so the module never makes a slice of
 //! an array. Instead, each read of a number is one volatile load through a pointer. The library
 //! reads positions several times, and reports positions that differ between reads as an error.
 

@@ -1,5 +1,5 @@
-//! Selects the backend from the keywords `backend` and `device`. A device stays open for later
-//! calls.
+//! Selects the backend from the keywords `backend` and `device`. An opened device stays open for
+//! later calls.
 
 use std::collections::HashMap;
 use std::path::PathBuf;

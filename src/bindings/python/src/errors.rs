@@ -19,7 +19,8 @@ mod base {
     pyo3::import_exception!(meniscus._errors, Error);
 }
 
-/// Whether an error becomes a ``FileError``, because its cause is a file and not the request.
+/// Whether an error becomes a ``FileError``. This is the case if the cause is a file, and not the
+/// request.
 fn is_of_file(error: &Error) -> bool {
     let exists = |error: &WriteError| {
         matches!(error.fault, WriteFault::Exists | WriteFault::ExistsInSimulation)
@@ -33,8 +34,8 @@ fn is_of_file(error: &Error) -> bool {
     }
 }
 
-/// The `errno` that matches an error of the library: that of the system's error which caused it,
-/// EEXIST for an existing output, or ENOENT for missing inputs.
+/// Returns the `errno` for an error of the library: EEXIST for an existing output, ENOENT for
+/// missing inputs, and otherwise the `errno` of the system error that caused it, if there is one.
 fn matching_errno(error: &Error) -> Option<i32> {
     match error {
         Error::Write(WriteError {
@@ -105,7 +106,8 @@ fn file_error(error: &Error, text: &str) -> PyErr {
     })
 }
 
-/// A hint at the keywords that let a call replace existing files; empty for other errors.
+/// A hint, for errors about existing files, that names the keywords with which a call replaces or
+/// keeps these files. Empty for other errors.
 fn replace_hint(error: &Error) -> &'static str {
     match error {
         Error::Write(WriteError { fault: WriteFault::Exists, .. }) => {

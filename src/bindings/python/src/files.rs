@@ -174,8 +174,8 @@ pub fn read_particles(
 /// Parameters
 /// ----------
 /// inputs : path or list of paths
-///     A name with ``{}`` for the number, a folder, a glob, a file with several steps, or a list of
-///     files.
+///     A name with ``{}`` for the frame number, a folder, a glob, a file with several steps, or a
+///     list of files.
 ///
 /// Returns
 /// -------
@@ -187,8 +187,8 @@ pub fn read_particles(
 /// Raises
 /// ------
 /// meniscus.InputError, meniscus.FileError
-///     If a file does not exist, if there are no frames, if they belong to several simulations, or
-///     if the folder cannot be read.
+///     If a file does not exist, if there are no frames, if the frames belong to several
+///     simulations, or if the folder cannot be read.
 #[pyfunction]
 pub fn list_frames(py: Python<'_>, inputs: &Bound<'_, PyAny>) -> PyResult<Vec<(i64, PathBuf)>> {
     let inputs = paths("inputs", inputs)?;

@@ -127,8 +127,8 @@ impl Keywords {
         Ok(())
     }
 
-    /// Returns the request with the chosen backend. If the library chooses, it considers
-    /// `input_bytes`, the size of the input, if known.
+    /// Returns the request with the chosen backend. If the keywords leave the choice to the
+    /// library, the library considers `input_bytes`, the size of the input, if known.
     pub fn on_machine(self, input_bytes: Option<u64>) -> PyResult<Reconstruction> {
         let request = self.request.memory(self.memory);
         if !request.uses_backend() {

@@ -23,8 +23,8 @@ use crate::work::{Work, with_progress};
 ///     Velocities of the particles; the mesh has them as ``attributes["velocity"]``.
 /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
 ///     Further values to interpolate to the vertices. ``v`` and similar names become ``velocity``.
-///     A vertex takes integers, such as identifiers, from the nearest particle; they must fit into
-///     32 bits.
+///     A vertex takes integers, such as identifiers, from the nearest particle; these integers must
+///     fit into 32 bits.
 /// where : str or list of str, optional
 ///     Use only particles whose ``attributes`` satisfy a condition, such as "Type=1" or
 ///     "age<2.5 and z>0".
@@ -49,8 +49,8 @@ use crate::work::{Work, with_progress};
 /// periodic_mesh : "cut" or "overlap", optional
 ///     How the mesh ends at the faces of a periodic box.
 /// indicator : "cloud", "counting" or "symmetry", optional
-///     Rule for computing the value of a cell from its particles: "cloud" by default; the others
-///     are from the paper.
+///     Rule for computing the value of a cell from its particles: "cloud" by default. "counting"
+///     and "symmetry" are the indicators of the paper that introduced the method.
 /// mu0 : float, optional
 ///     Mean number of particles in non-empty cells, for counting.
 /// method : "dif", "mueller", "zhu-bridson" or "yu-turk", optional
@@ -58,7 +58,7 @@ use crate::work::{Work, with_progress};
 /// skip_invalid : bool, optional
 ///     Skip particles whose position is not finite, more than one spacing outside the periodic
 ///     box, or more than 4.19 million cells from the grid's origin along an axis, and report their
-///     number; without this, such particles are an error.
+///     number; by default, such particles are an error.
 /// smooth : float, optional
 ///     Smoothing width, in spacings, 1.6 by default; larger is smoother, and 2 is good for noisy
 ///     FLIP particles.
@@ -100,7 +100,7 @@ use crate::work::{Work, with_progress};
 ///     Folder for scratch files; by default the system's temporary folder.
 /// progress : callable, optional
 ///     A function that is called on the caller's thread with the name of a stage and its progress
-///     from 0 to 1. An exception that it raises cancels the work.
+///     from 0 to 1. An exception in this function cancels the work.
 ///
 /// Returns
 /// -------
@@ -111,7 +111,8 @@ use crate::work::{Work, with_progress};
 /// TypeError
 ///     If an array has the wrong type, or is on a device.
 /// meniscus.InputError
-///     If a number is out of range, an array has the wrong shape, or the particles have no surface. It is a ValueError.
+///     If a number is out of range, an array has the wrong shape, or the particles have no surface.
+///     It is a ValueError.
 /// meniscus.FileError
 ///     If a scratch file cannot be written. It is an OSError.
 /// meniscus.DeviceError

@@ -31,7 +31,7 @@ use pyo3::prelude::*;
 ///     too far from the grid's origin, or because they are outside the domain or the periodic box.
 /// wrapped : int
 ///     Number of particles that were at most one spacing outside the periodic box, and were moved
-///     into it by one period. They are among the particles that were used.
+///     into it by one period. ``particles`` includes them.
 /// lost : int
 ///     Lower bound on the number of particles outside the surface.
 /// too_small : int

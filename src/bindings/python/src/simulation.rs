@@ -1,5 +1,5 @@
-//! The frames of a simulation: reconstructed from memory while the simulation runs, or converted
-//! from particle files to mesh files.
+//! The Python class `Simulation`, which reconstructs frames from memory while a simulation runs, or
+//! converts particle files to mesh files.
 
 use std::path::PathBuf;
 use std::sync::{Mutex, TryLockError};
@@ -45,10 +45,10 @@ pub const SIMULATION: [&str; 10] = [
 /// Parameters
 /// ----------
 /// inputs : path or list of paths, optional
-///     A name with ``{}`` for the number, a folder, a glob, a file with several steps, or a list of
-///     files.
+///     A name with ``{}`` for the frame number, a folder, a glob, a file with several steps, or a
+///     list of files.
 /// output : path, optional
-///     A name with ``{}`` or ``{:04}`` for the number, a folder, or one ``.abc`` file for all
+///     A name with ``{}`` or ``{:04}`` for the frame number, a folder, or one ``.abc`` file for all
 ///     frames.
 /// start, end, step : int, optional
 ///     The first and last frame of the simulation, and the step between the numbers of frames to
@@ -99,8 +99,8 @@ enum Kind {
 }
 
 impl Simulation {
-    /// Returns an error if the keyword `attributes` of the simulation does not name an array's
-    /// attribute.
+    /// Returns an error if `arrays` has an attribute that the simulation's keyword `attributes`
+    /// does not name.
     fn check_attribute_names(&self, arrays: &Arrays<'_>) -> PyResult<()> {
         arrays.first_unnamed(self.names.as_deref()).map_or(Ok(()), |name| {
             Err(InputError::new_err(format!(
@@ -181,7 +181,7 @@ impl Simulation {
     /// attributes : mapping from names to arrays of shape (N,) or (N, K), optional
     ///     Values of the attributes that the simulation's keyword ``attributes`` names.
     /// progress : callable, optional
-    ///     Called with the name of a stage and its progress from 0 to 1.
+    ///     A function that is called with the name of a stage and its progress from 0 to 1.
     ///
     /// Returns
     /// -------
@@ -204,8 +204,8 @@ impl Simulation {
         }
         let arrays = Arrays::from_python(positions, velocity, attributes)?;
         self.check_attribute_names(&arrays)?;
-        // Do not wait for another thread: it may need the interpreter's lock, which this thread
-        // holds.
+        // Do not wait for another thread that uses this simulation, because that thread may need
+        // the interpreter's lock, which this thread holds.
         let mut live = match live.try_lock() {
             Ok(live) => live,
             Err(TryLockError::Poisoned(poisoned)) => poisoned.into_inner(),
@@ -240,13 +240,14 @@ impl Simulation {
 
     /// Converts all frames from particle files to mesh files.
     ///
-    /// If a frame fails, the other frames are still converted: see ``Summary.complete``.
+    /// If a frame fails, ``run`` still converts the other frames. ``Summary.complete`` says whether
+    /// all frames were converted.
     ///
     /// Parameters
     /// ----------
     /// progress : callable, optional
-    ///     Called with each ``Event``, on the caller's thread. An exception that it raises cancels
-    ///     the work.
+    ///     A function that is called with each ``Event``, on the caller's thread. An exception in
+    ///     this function cancels the work.
     ///
     /// Returns
     /// -------
@@ -299,7 +300,7 @@ impl Simulation {
         work.run(py, on_event, || {
             let act = || {
                 act(&files, &|event| {
-                    // Sending cannot fail: the caller receives events until this work has ended.
+                    // Sending cannot fail, because the caller receives events until this work ends.
                     let _ = sender.send(Message::Event(Event::of(&event)));
                 })
             };

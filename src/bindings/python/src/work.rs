@@ -20,8 +20,8 @@ use crate::memory::return_memory;
 
 /// Runs `act` on temporary threads, one per core.
 ///
-/// Rayon's global thread pool must not be used: if the caller forks, the pool's threads do not
-/// exist in the child process, which would wait for them forever.
+/// Do not use Rayon's global thread pool instead. If the caller forks, the pool's threads do not
+/// exist in the child process, so a call in the child process would wait for them forever.
 pub fn on_all_cores<T: Send>(act: impl FnOnce() -> T + Send) -> Result<T, Error> {
     on_threads(0, act)
 }
@@ -32,7 +32,7 @@ pub fn on_threads<T: Send>(count: usize, act: impl FnOnce() -> T + Send) -> Resu
     Ok(threads.map_err(|fault| Error::Threads(fault.to_string()))?.install(act))
 }
 
-/// Interval at which the waiting thread checks for Ctrl-C.
+/// Interval at which the caller's thread checks for Ctrl-C while it waits.
 const POLL: Duration = Duration::from_millis(50);
 
 /// A message from the working thread to the caller's thread.
@@ -70,7 +70,8 @@ impl<N: Send + 'static> Work<N> {
         let ended = thread::scope(|scope| {
             let act = move || {
                 let ended = catch_unwind(AssertUnwindSafe(act));
-                // Sending cannot fail: the receiver exists until the caller has received `Done`.
+                // Sending cannot fail, because the receiver exists until the caller has received
+                // `Done`.
                 let _ = sender.send(Message::Done);
                 ended
             };
@@ -138,8 +139,8 @@ impl Work<Progress> {
         }
         let sender = self.sender.clone();
         request.progress(move |progress| {
-            // Ignore failures to send: writing the surface later also reports progress, and by then
-            // the receiver no longer exists.
+            // Ignore failures to send. If the caller later writes the surface, the library reports
+            // progress again, and the receiver no longer exists.
             let _ = sender.send(Message::Event(progress));
         })
     }

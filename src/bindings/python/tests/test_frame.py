@@ -106,8 +106,9 @@ def test_the_volume_contains_distances_from_the_surface(ball: Any) -> None:
     for ends in zip(np.floor(voxels + 1e-4).astype(int), np.ceil(voxels - 1e-4).astype(int), strict=True):
         low, high = (volume.values[brick[tuple(at // 8 * 8)]][tuple(at % 8)] for at in ends)
         assert low * high <= 0 and max(abs(low), abs(high)) <= volume.voxel_size + 1e-5
-    # Each voxel's value may exceed the distance to the nearest vertex by at most a tenth of a
-    # voxel, and must be almost as large as this distance.
+    # The magnitude of each voxel's value may exceed the distance to the nearest vertex by at most a
+    # tenth of a voxel. The square of this distance may exceed the square of the value by less than
+    # the square of the voxel size.
     steps = np.stack(np.meshgrid(*[np.arange(8)] * 3, indexing="ij"), axis=-1)
     places = (volume.origins[:, None, None, None] + steps) * volume.voxel_size + volume.transform[:3, 3]
     inner = np.abs(volume.values) < band

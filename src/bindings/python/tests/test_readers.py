@@ -91,7 +91,7 @@ def put(path: Path, positions: Any, velocity: Any) -> None:
 
 
 def compare(folder: Path, program: Any, path: Path, options: dict[str, Any]) -> meniscus.Particles:
-    """Checks that three meshes are equal: the program's, this module's of the file, and of the file's arrays."""
+    """Checks that the program's mesh of a file equals this module's meshes of the file and of the file's arrays."""
     given = [f"--{name}={value}" for name, value in options.items()]
     program("reconstruct", path, "-o", folder / "theirs.ply", "-q", "--overwrite", *given)
     theirs = (folder / "theirs.ply").read_bytes()

@@ -22,7 +22,8 @@ use polygons::{RunFields, is_polygon};
 /// Maximum number of components of an attribute. Attributes with more components, such as spectra,
 /// are left out.
 pub const MOST_COMPONENTS: u64 = 64;
-/// Maximum number of texts in a text attribute by which particles can be selected.
+/// Maximum number of texts in a text attribute. Particles cannot be selected by an attribute with
+/// more texts.
 pub const MOST_TEXTS: usize = 4096;
 /// Maximum number of kinds of primitives that are counted separately.
 const MOST_KINDS: usize = 64;

@@ -38,9 +38,11 @@ class Arrays:
             raise OutOfRange("The surface has coordinates that are too large for Blender, which uses single precision")
         return cls(
             vertices=vertices,
-            # As int32, all indices stay the same: a Blender mesh has fewer than 2^31 vertices.
+            # All indices keep their values as int32, because a Blender mesh has fewer than 2^31
+            # vertices.
             triangles=mesh.triangles.view(np.int32),
-            # Blender's integers are signed: values from 2^31 on become negative, with equal bits.
+            # Blender's integers are signed, so values of 2^31 and above become negative numbers
+            # with the same bits.
             attributes={
                 name: values.view(np.int32) if values.dtype == np.uint32 else values for name, values in mesh.attributes.items()
             },

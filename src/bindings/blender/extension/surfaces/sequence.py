@@ -70,7 +70,7 @@ def sequence_of(path: str) -> str:
         try:
             steps = meniscus.list_frames(path)
         except meniscus.Error:
-            # Ignore the error here: reading the file will report it.
+            # Ignore the error here, because reading the file will report it.
             steps = []
         if any("#" in file.name for _, file in steps):
             return path
@@ -87,8 +87,8 @@ def number_of(path: str) -> int | None:
 def shown_at(frames: list[tuple[int, Path]], timing: Timing, frame: int) -> Shown:
     """The file to show at a frame of the scene.
 
-    This is the first file before the start, the last file after the end, and the previous file in a
-    gap.
+    Frames before the first file show the first file, frames after the last file show the last file,
+    and frames in a gap show the previous file.
     """
     wanted = timing.number(frame)
     at = max(bisect.bisect_right(frames, wanted, key=lambda known: known[0]) - 1, 0)

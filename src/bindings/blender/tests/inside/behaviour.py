@@ -279,7 +279,7 @@ def converted(shown: bpy.types.Object) -> Any:
     conversion = operators.conversion_of(shown.data)
     conversion.join()
     assert (conversion.error, conversion.problems) == ("", []), vars(conversion)
-    # Call the timer's function directly: timers do not run in background mode.
+    # Call the timer's function directly, because timers do not run in background mode.
     assert operators._poll(shown.data.session_uid) is None and not conversion.error, conversion.error
     return conversion
 
@@ -592,7 +592,8 @@ def a_conversion_replaces_the_live_surface() -> None:
         other.location.y = -7.0
         scene.collection.children.link(collection)
         collection.objects.link(other)
-        # Blender computes no transforms of hidden objects, so compare with those before the conversion.
+        # Blender computes no transforms of hidden objects, so compare with the transforms that the
+        # objects have before the conversion.
         frames, places = (1, 10, 20), []
         for frame in frames:
             scene.frame_set(frame)

@@ -1,8 +1,8 @@
 """The interface of pysplashsurf 0.14, implemented by meniscus: import this module instead.
 
 Keywords have the names that pysplashsurf gives them, and lengths are relative to the particle
-radius. A keyword has the same meaning as in pysplashsurf, or the nearest equivalent; otherwise, it
-is ignored with one warning. A table in the README describes the keywords.
+radius. Each keyword has the same meaning as in pysplashsurf, has a similar meaning, or is ignored.
+A table in the README describes every keyword. Some ignored keywords give one warning.
 """
 
 from __future__ import annotations
