@@ -239,10 +239,10 @@ settings! {
 
     /// Closed mesh of a solid object at which the fluid ends, such as an obstacle.
     ///
-    /// The mesh must have the units and axes of the particles. It can be in any format that `check`
-    /// reads. Repeat the option for several solids. {} in the name stands for the frame number:
-    /// solid.{}.obj gives each frame its own mesh. Works only with the indicator `cloud` (the
-    /// default).
+    /// The mesh must have the units and axes of the particles. It can be a .ply, .obj, .stl, .vtk,
+    /// .vtp, .pvtp, .vtkhdf, .bgeo.sc, .bgeo or .geo. Repeat the option for several solids. {} in
+    /// the name stands for the frame number: solid.{}.obj gives each frame its own mesh. Works only
+    /// with the indicator `cloud` (the default).
     #[arg(value_name = "MESH", help_heading = "Input")]
     solid: Option<Vec<String>>,
 
