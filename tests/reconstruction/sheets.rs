@@ -221,7 +221,7 @@ fn sheets_and_filaments_on_water_stay_connected_to_the_water() {
 }
 
 #[test]
-fn films_on_a_floor_stay_whole_at_any_floor_height_within_a_cell() {
+fn films_on_a_floor_stay_whole_at_several_floor_heights() {
     for (layers, stretch) in FILMS {
         for (cell, floor) in [(0.5, 0.0), (0.5, 0.37), (0.5, 0.75), (0.25, 0.0), (0.25, 0.25)] {
             let raised = |[x, y, z]: [f64; 3]| [x, y + floor, z];
