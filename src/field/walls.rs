@@ -68,15 +68,15 @@ const LEVEL_SHARE: f64 = 0.85;
 const FARTHEST: f64 = 0.75;
 /// The maximum distance, in spacings, between walls of several frames that count as the same wall.
 /// It is also the maximum distance of particles beyond a wall for which the wall is moved.
-const SAME: f64 = 0.5;
+const SAME_WALL_DISTANCE: f64 = 0.5;
 /// The maximum distance, in spacings, by which a scene's wall may lie beyond the plane at which the
 /// fluid ends. Within this distance, the wall is moved to the plane.
-const KEPT: f64 = 2.0;
+const MAX_GAP_TO_PLANE: f64 = 2.0;
 /// The maximum distance, in spacings, by which a scene's wall may lie beyond the end of fluid that
 /// is too shallow or too uneven to show a plane. Within this distance, the wall is moved to the end
 /// of the fluid. Solvers keep fluid up to a spacing away from walls; farther away, such fluid may
 /// have a free surface.
-const KEPT_TOUCHED: f64 = 1.1;
+const MAX_GAP_TO_SHALLOW_FLUID: f64 = 1.1;
 /// The minimum number of particles per squared spacing in the shell of a column whose fluid touches
 /// a side.
 const TOUCHING: f64 = 0.5;
@@ -420,7 +420,7 @@ impl SideColumns {
     fn wall(&self, shell: &Shell) -> f64 {
         let per_area = if shell.has_gap { shell.per_area } else { shell.per_area.min(SHELL) };
         let beyond = (per_area / 2.0 - shell.mean_depth).clamp(0.0, FARTHEST);
-        outward(self.end, self.at, beyond * self.spacing)
+        moved_outward(self.end, self.at, beyond * self.spacing)
     }
 }
 
@@ -492,7 +492,7 @@ fn others(axis: usize) -> [usize; 2] {
 }
 
 /// Moves a coordinate outwards by `by`, at the lower or the upper end of a box.
-fn outward(end: usize, at: f64, by: f64) -> f64 {
+fn moved_outward(end: usize, at: f64, by: f64) -> f64 {
     if end == 0 { at - by } else { at + by }
 }
 
@@ -512,7 +512,8 @@ fn rounded(end: usize, wall: f64, reach: f64, spacing: f64) -> f64 {
     let digits = (3.0 - libm::log10(spacing).floor()).clamp(0.0, 15.0) as usize;
     let step = 10_f64.powi(-(digits as i32));
     let short = |at: f64| format!("{at:.digits$}").parse().unwrap_or(wall);
-    let candidates = [0.0, 1.0, 2.0].map(|steps: f64| short(outward(end, wall, steps * step)));
+    let candidates =
+        [0.0, 1.0, 2.0].map(|steps: f64| short(moved_outward(end, wall, steps * step)));
     let is_outside = |at: &f64| outside(end, *at, wall) >= 0.0 && outside(end, *at, reach) >= 0.0;
     let of_few_digits = candidates.into_iter().find(is_outside).unwrap_or(wall);
     // Avoids a negative zero.
@@ -564,9 +565,12 @@ pub fn common(frames: &[Ends], scene: Option<&Walls>, up: Option<usize>) -> (Wal
 /// ends near `wall`, the result is `wall`, or `None` if particles are far beyond `wall`.
 fn wall_near_scene(frames: &[Ends], (axis, end): (usize, usize), wall: f64) -> Option<f64> {
     let spacing = spacing_at(frames, axis, end);
-    let is_near = |at: &f64, most| (-SAME..=most).contains(&(outside(end, wall, *at) / spacing));
-    let plane = |frame: &Ends| frame.plane(axis, end).filter(|at| is_near(at, KEPT));
-    let touched = |frame: &Ends| frame.touched[axis][end].filter(|at| is_near(at, KEPT_TOUCHED));
+    let is_near = |at: &f64, most| {
+        (-SAME_WALL_DISTANCE..=most).contains(&(outside(end, wall, *at) / spacing))
+    };
+    let plane = |frame: &Ends| frame.plane(axis, end).filter(|at| is_near(at, MAX_GAP_TO_PLANE));
+    let touched =
+        |frame: &Ends| frame.touched[axis][end].filter(|at| is_near(at, MAX_GAP_TO_SHALLOW_FLUID));
     let ends = frames.iter().filter_map(|frame| plane(frame).or_else(|| touched(frame)));
     match ends.reduce(|a, b| outermost(end, a, b)) {
         Some(at) => Some(rounded_for(frames, axis, end, at)),
@@ -582,7 +586,7 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
     planes.sort_unstable_by(|a, b| outside(end, *b, *a).total_cmp(&0.0));
     // Only the outermost plane can be a wall, because particles lie beyond the other planes.
     let wall = planes.into_iter().next()?;
-    let is_same = |at: f64| (at - wall).abs() <= SAME * spacing;
+    let is_same = |at: f64| (at - wall).abs() <= SAME_WALL_DISTANCE * spacing;
     let (mut supporting, mut opposing) = (0, 0);
     for frame in frames {
         match frame.sides[axis][end] {
@@ -600,7 +604,8 @@ fn common_wall(frames: &[Ends], axis: usize, end: usize) -> Option<f64> {
 /// beyond it.
 fn rounded_for(frames: &[Ends], axis: usize, end: usize, wall: f64) -> f64 {
     let reached = frames.iter().map(|frame| (frame.reach[axis][end], frame.spacings[axis][end]));
-    let holding = reached.filter(|&(at, spacing)| outside(end, at, wall) <= SAME * spacing);
+    let holding =
+        reached.filter(|&(at, spacing)| outside(end, at, wall) <= SAME_WALL_DISTANCE * spacing);
     let reach = holding.map(|(at, _)| at).fold(wall, |a, b| outermost(end, a, b));
     rounded(end, reach, reach, spacing_at(frames, axis, end))
 }
@@ -634,7 +639,7 @@ impl Ends {
 
     /// Whether particles are so far beyond a wall that the wall is not moved for them.
     fn passes(&self, axis: usize, end: usize, wall: f64) -> bool {
-        outside(end, self.reach[axis][end], wall) > SAME * self.spacings[axis][end]
+        outside(end, self.reach[axis][end], wall) > SAME_WALL_DISTANCE * self.spacings[axis][end]
     }
 }
 
@@ -655,7 +660,7 @@ pub fn adapted(
         };
         let by = outside(end, reach, wall);
         if by > 0.0 {
-            let moved = (by <= SAME * spacings[axis][end]).then_some(reach);
+            let moved = (by <= SAME_WALL_DISTANCE * spacings[axis][end]).then_some(reach);
             adapted.0[axis][end] = moved;
             past.push(BeyondWall { axis: ['x', 'y', 'z'][axis], wall, reach, moved });
         }

@@ -24,7 +24,7 @@ use crate::vulkan::VulkanError;
 #[derive(Debug, Error)]
 pub enum FrameError {
     /// No particles remain from which a surface can be made.
-    #[error("no particles to reconstruct: {}", explain(.0))]
+    #[error("no particles to reconstruct: {}", skipped_particles_text(.0))]
     NoParticles(Census),
     /// A particle cannot be placed in a bin, or there are too many bins.
     #[error(transparent)]
@@ -194,7 +194,7 @@ impl From<DeviceBinError> for FrameError {
     }
 }
 
-fn explain(census: &Census) -> String {
+fn skipped_particles_text(census: &Census) -> String {
     let &Census { not_finite, too_far, outside, .. } = census;
     let are = |count| if count == 1 { "is" } else { "are" };
     let have = if not_finite == 1 { "has a position that is" } else { "have positions that are" };

@@ -15,7 +15,7 @@ use crate::grid::{BIN, BLOCK, MortonKey};
 use crate::io::mnf::PackableFrame;
 use crate::surface::attribute;
 use crate::surface::dual_mc::block_vertices;
-use crate::surface::mesh::spool::{TILE_SHARE, blocks_bytes, vertex_bytes};
+use crate::surface::mesh::spool::{TILE_BYTES_PER_VERTEX, blocks_bytes, vertex_bytes};
 use crate::surface::stitch::writing_bytes;
 
 use super::expected::{self, ExpectedVertices};
@@ -274,7 +274,7 @@ impl MemoryEstimate {
 
     /// Sets the memory of the surface from the expected vertices.
     fn and_surface(self, expected: &ExpectedVertices, extraction: &Extraction) -> Self {
-        let surface = (extraction.vertex_bytes() + TILE_SHARE) * expected.vertices;
+        let surface = (extraction.vertex_bytes() + TILE_BYTES_PER_VERTEX) * expected.vertices;
         let meshing = extraction.meshing_bytes(expected);
         let &ExpectedVertices { vertices, in_finest_cells, .. } = expected;
         Self { surface, vertices, in_finest_cells, meshing, ..self }

@@ -214,7 +214,7 @@ impl<'a> CalibratedFrame<'a> {
             })
             .map_err(&in_scratch)?;
             meter.go_on()?;
-            self.keep_to_share(spool).map_err(&in_scratch)?;
+            self.move_to_file_if_too_large(spool).map_err(&in_scratch)?;
             regions = later;
         }
         Ok(())
@@ -233,14 +233,14 @@ impl<'a> CalibratedFrame<'a> {
             let later = blocks.split_off(fitting.count().max(1));
             blocks.par_iter_mut().try_for_each(|block| self.carry(block))?;
             blocks.into_iter().try_for_each(|block| spool.push(block))?;
-            self.keep_to_share(spool)?;
+            self.move_to_file_if_too_large(spool)?;
             blocks = later;
         }
         Ok(())
     }
 
     /// Moves `spool` to a scratch file if it exceeds its share of memory.
-    fn keep_to_share(&self, spool: &mut Spool) -> io::Result<()> {
+    fn move_to_file_if_too_large(&self, spool: &mut Spool) -> io::Result<()> {
         if spool.bytes_in_memory() > self.surface_share {
             spool.move_to_file(&self.resources.scratch)?;
         }

@@ -15,7 +15,7 @@ use crc32fast::Hasher;
 
 use crate::system::cancel::{COMPANION_SUFFIXES, companion_folder};
 
-use super::whole::counted_in;
+use super::whole::write_counted_to_file;
 
 /// A folder that is being filled. It is removed on drop unless [`keep`](Self::keep) is called.
 #[derive(Debug)]
@@ -100,7 +100,7 @@ impl FolderInProgress {
         let name = self.name(number);
         let name = name.rsplit('/').next().unwrap_or_default();
         let file = File::create_new(self.temporary.join(name))?;
-        let (_, sum) = counted_in(&file, Some(Hasher::new()), content)?;
+        let (_, sum) = write_counted_to_file(&file, Some(Hasher::new()), content)?;
         sum.iter().for_each(|sum| self.sum.combine(sum));
         file.sync_all()
     }

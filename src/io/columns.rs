@@ -325,7 +325,7 @@ impl ColumnStore {
     pub fn select(&mut self, sieve: Sieve) {
         self.rows = ParticleRows::Selected(match &self.rows {
             ParticleRows::All(_) => sieve,
-            ParticleRows::Selected(rows) => rows.within(&sieve),
+            ParticleRows::Selected(rows) => rows.filtered_by(&sieve),
         });
     }
 

@@ -15,7 +15,7 @@ const BRACKETS: [char; 4] = ['(', ')', '[', ']'];
 pub const MOST_COMPONENTS: u64 = 64;
 
 /// Prefixes, in lower case, of the names of vectors that are not positions.
-const NO_POSITIONS: [&str; 14] = [
+const NON_POSITION_PREFIXES: [&str; 14] = [
     "acc", "color", "colour", "disp", "force", "mom", "norm", "omega", "stress", "vel", "vort",
     "grad", "spin", "torque",
 ];
@@ -332,7 +332,7 @@ pub fn only_vector(fields: &[NamedArray]) -> Option<usize> {
         let stem = name.rsplit(['_', '/', '.']).find(|part| !part.is_empty()).unwrap_or(&name);
         matches!(stem, "a" | "b" | "e" | "f" | "n" | "u" | "v" | "w" | "cd" | "rgb")
             || velocity_rank(&name).is_some()
-            || NO_POSITIONS.iter().any(|other| stem.starts_with(other))
+            || NON_POSITION_PREFIXES.iter().any(|other| stem.starts_with(other))
     };
     [Axes::Particles, Axes::Components, Axes::Frames].into_iter().find_map(|axes| {
         let vectors = fields.iter().enumerate().filter(|(_, NamedArray { name, shape })| {

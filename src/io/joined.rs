@@ -73,7 +73,7 @@ pub(super) fn check_colour_scales(
         let is_colour = |&(_, particles, index): &(_, &Pieces, usize)| {
             particles.attributes()[index].kind.is_colour()
         };
-        if !of_files.iter().any(is_colour) || are_of_one_type(&of_files) {
+        if !of_files.iter().any(is_colour) || all_same_integer_type(&of_files) {
             continue;
         }
         let mut known: Option<(&Path, ColourScale)> = None;
@@ -92,7 +92,7 @@ pub(super) fn check_colour_scales(
 
 /// Whether all files store a colour as integers of one type. Such a colour gets the scale that fits
 /// the values of all files.
-fn are_of_one_type(of_files: &[(&Path, &Pieces, usize)]) -> bool {
+fn all_same_integer_type(of_files: &[(&Path, &Pieces, usize)]) -> bool {
     let mut kinds =
         of_files.iter().map(|&(_, particles, index)| particles.attributes()[index].kind);
     let first = kinds.next();

@@ -16,7 +16,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::encode::{write_triangles, write_vertices};
 use super::number::ParseNumber;
 use super::scan::Scanner;
-use super::up::noted;
+use super::up::delimited_up_comment;
 use super::{CoordinateWidth, ReadFault};
 
 /// First words of lines that are ignored, because they do not affect the shape of the surface.
@@ -35,7 +35,7 @@ pub fn write_mesh(
     mesh: &dyn MeshSource,
     width: CoordinateWidth,
 ) -> io::Result<()> {
-    out.write_all(noted(mesh, ["# ", "\n"]).as_bytes())?;
+    out.write_all(delimited_up_comment(mesh, ["# ", "\n"]).as_bytes())?;
     if mesh.vertex_count() == 0 {
         // Write a line, because an empty file could be mistaken for an incomplete one.
         writeln!(out, "# no vertices")?;

@@ -205,7 +205,7 @@ impl MeshFormat {
             Self::BgeoSc => arrays + 2,
             // Reads the vertices once for each array, and the triangles once.
             Self::Vtk | Self::Vtp | Self::Pvtp | Self::VtkHdf => arrays + 1,
-            Self::Usdc(_) => usd::readings(mesh.has_normals(), &mesh.attributes()),
+            Self::Usdc(_) => usd::pass_count(mesh.has_normals(), &mesh.attributes()),
             // Reads vertices and triangles once more than other formats, to determine their order.
             Self::Glb(_) => 2 + arrays + 1,
             // Reads the vertices twice for each array, and the triangles twice.

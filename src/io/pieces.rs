@@ -301,8 +301,8 @@ pub(super) fn join_files(
             }
         }
     }
-    name_velocities_alike(&mut files);
-    let partial = keep_shared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
+    unify_velocity_names(&mut files);
+    let partial = remove_unshared_attributes(&mut files).into_iter().map(UnreadPart::Attribute);
     let opened = || files.iter().flatten();
     let blocks = opened().flat_map(|file| file.left_out.iter().cloned());
     let mut names = HashSet::new();
@@ -349,7 +349,7 @@ pub(super) fn join_files(
 }
 
 /// Gives the velocities of all files the same name.
-fn name_velocities_alike(files: &mut [Option<ParticleFile>]) {
+fn unify_velocity_names(files: &mut [Option<ParticleFile>]) {
     let mut infos = files.iter().flatten().map(|file| file.particles.attributes());
     let first = infos.find_map(|infos| Some(infos[velocity_attribute(infos)?].name.clone()));
     let Some(name) = first else { return };
@@ -357,7 +357,7 @@ fn name_velocities_alike(files: &mut [Option<ParticleFile>]) {
 }
 
 /// Removes and returns the attributes that at least one file with particles lacks.
-fn keep_shared_attributes(files: &mut [Option<ParticleFile>]) -> Vec<AttributeInfo> {
+fn remove_unshared_attributes(files: &mut [Option<ParticleFile>]) -> Vec<AttributeInfo> {
     let filled = || files.iter().flatten().filter(|file| !file.particles.is_empty());
     let mut partial: Vec<AttributeInfo> = Vec::new();
     for left_out in filled().flat_map(|file| file.left_out.clone()) {

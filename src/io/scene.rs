@@ -34,20 +34,20 @@ struct SceneFacts {
 /// the parent folder. Invalid files and files with other contents are skipped.
 pub fn spacing_from_scene(path: &Path) -> Option<(f64, PathBuf)> {
     let scenes = scenes_near(path).into_iter();
-    agreed(scenes.map(|(scene, path)| (scene.spacing, path)))
+    single_value(scenes.map(|(scene, path)| (scene.spacing, path)))
 }
 
 /// The walls of the tank around the particles at `path`, and the path of a scene file that contains
 /// them. `None` if scene files contain different spacings or different tanks.
 pub fn tank_from_scene(path: &Path) -> Option<(Walls, PathBuf)> {
     let scenes = scenes_near(path);
-    agreed(scenes.iter().map(|(scene, path)| (scene.spacing, path)))?;
+    single_value(scenes.iter().map(|(scene, path)| (scene.spacing, path)))?;
     let tanks = scenes.into_iter().filter_map(|(scene, path)| Some((scene.tank?, path)));
-    agreed(tanks)
+    single_value(tanks)
 }
 
 /// The first value. `None` if there is no value, or if a later value differs from the first.
-fn agreed<T: PartialEq, P>(mut values: impl Iterator<Item = (T, P)>) -> Option<(T, P)> {
+fn single_value<T: PartialEq, P>(mut values: impl Iterator<Item = (T, P)>) -> Option<(T, P)> {
     let first = values.next()?;
     values.all(|(other, _)| other == first.0).then_some(first)
 }

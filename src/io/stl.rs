@@ -22,7 +22,7 @@ use crate::surface::mesh::source::MeshSource;
 use super::encode::{in_order, write_triangles};
 use super::obj::vector;
 use super::scan::Scanner;
-use super::up::note;
+use super::up::up_comment;
 use super::{CoordinateWidth, ReadFault, malformed};
 
 /// The title of a binary file. It must not start with "solid", which marks a text file.
@@ -49,10 +49,11 @@ pub fn write_mesh(
     mesh: &dyn MeshSource,
     _width: CoordinateWidth,
 ) -> io::Result<()> {
-    let positions =
-        mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
+    let positions = mesh
+        .whole_positions()
+        .map_or_else(|| all_positions(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
     let mut title = *TITLE;
-    if let Some(note) = note(mesh) {
+    if let Some(note) = up_comment(mesh) {
         title[TITLE.len() - note.len()..].copy_from_slice(note.as_bytes());
     }
     out.write_all(&title)?;
@@ -76,8 +77,9 @@ pub fn write_mesh(
 /// # Errors
 /// The errors of `mesh`, and [`io::ErrorKind::OutOfMemory`] if the positions do not fit in memory.
 pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
-    let positions =
-        mesh.whole_positions().map_or_else(|| gathered(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
+    let positions = mesh
+        .whole_positions()
+        .map_or_else(|| all_positions(mesh).map(Cow::Owned), |p| Ok(p.into()))?;
     // Adding 0 turns negative zero into positive zero.
     let mut places: Vec<[u32; 3]> =
         positions.par_iter().map(|position| position.map(|x| (x as f32 + 0.0).to_bits())).collect();
@@ -87,7 +89,7 @@ pub fn merged_vertices(mesh: &dyn MeshSource) -> io::Result<u64> {
 }
 
 /// Collects the positions of all pieces in one vector.
-fn gathered(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
+fn all_positions(mesh: &dyn MeshSource) -> io::Result<Vec<[f64; 3]>> {
     let mut positions = Vec::new();
     let count = usize::try_from(mesh.vertex_count()).map_err(|_| io::ErrorKind::OutOfMemory)?;
     positions.try_reserve_exact(count).map_err(|_| io::ErrorKind::OutOfMemory)?;
@@ -112,8 +114,8 @@ pub fn read_mesh(bytes: &[u8]) -> Result<Mesh, ReadFault> {
     // mistaken for a binary file, because its bytes 80 to 83 are not a number of triangles that
     // fits its length.
     match records(bytes) {
-        Ok(records) => joined(records.flat_map(corners)),
-        Err(_) if bytes.starts_with(b"solid") => joined(text(bytes)?.into_iter()),
+        Ok(records) => merge_corners(records.flat_map(corners)),
+        Err(_) if bytes.starts_with(b"solid") => merge_corners(text(bytes)?.into_iter()),
         Err(fault) => Err(fault),
     }
 }
@@ -204,7 +206,7 @@ impl TextContext {
 
 /// Merges corners with equal coordinates into vertices. Vertices are in the order of their first
 /// corners.
-fn joined(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
+fn merge_corners(corners: impl Iterator<Item = [f64; 3]>) -> Result<Mesh, ReadFault> {
     let mut mesh = Mesh::default();
     let mut known = HashMap::new();
     let mut triangle = Vec::with_capacity(3);

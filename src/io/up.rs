@@ -19,25 +19,25 @@ const NOTE: &str = "meniscus: z points up";
 const SEARCHED: u64 = 512;
 
 /// The comment for the file of `mesh`, if its up axis is z.
-pub(super) fn note(mesh: &dyn MeshSource) -> Option<&'static str> {
+pub(super) fn up_comment(mesh: &dyn MeshSource) -> Option<&'static str> {
     (mesh.up() == UpAxis::Z).then_some(NOTE)
 }
 
 /// The comment for the file of `mesh` with a format's delimiters, or an empty string if y is up.
-pub(super) fn noted(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String {
-    note(mesh).map_or(String::new(), |note| format!("{before}{note}{after}"))
+pub(super) fn delimited_up_comment(mesh: &dyn MeshSource, [before, after]: [&str; 2]) -> String {
+    up_comment(mesh).map_or(String::new(), |note| format!("{before}{note}{after}"))
 }
 
 /// The up axis that is recorded in a mesh's file or, if not there, in a list next to the file.
 /// `None` if neither the file nor a list records the axis.
 #[must_use]
 pub fn recorded_up(mesh: &Path) -> Option<UpAxis> {
-    let noted = || {
+    let recorded_in_file = || {
         let mut begins = Vec::new();
         File::open(mesh).ok()?.take(SEARCHED).read_to_end(&mut begins).ok()?;
         let mut places = begins.windows(NOTE.len());
         places.any(|place| place == NOTE.as_bytes()).then_some(UpAxis::Z)
     };
     // Read only regular files, because reading a pipe would consume its data.
-    mesh.is_file().then(|| noted().or_else(|| series::listed_up(mesh))).flatten()
+    mesh.is_file().then(|| recorded_in_file().or_else(|| series::listed_up(mesh))).flatten()
 }

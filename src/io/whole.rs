@@ -133,13 +133,15 @@ impl WholeFile {
         let filled = match &mut self.target {
             WriteTarget::Direct => {
                 let open = OpenOptions::new().write(true).open(&self.path);
-                match open.and_then(|mut file| counted(&mut file, crc, content)) {
+                match open.and_then(|mut file| write_counted(&mut file, crc, content)) {
                     // If the reader of a pipe closes the pipe early, this is not an error.
                     Err(fault) if fault.kind() == io::ErrorKind::BrokenPipe => Ok((0, None)),
                     outcome => outcome,
                 }
             }
-            WriteTarget::Temporary { file, .. } => counted_in(file.as_file(), crc, content),
+            WriteTarget::Temporary { file, .. } => {
+                write_counted_to_file(file.as_file(), crc, content)
+            }
         };
         match filled {
             Ok((bytes, crc)) => Ok(FilledFile {
@@ -225,7 +227,7 @@ pub fn sweep(folder: &Path) {
     let Ok(entries) = fs::read_dir(folder) else { return };
     for path in entries.filter_map(|entry| Some(entry.ok()?.path())) {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        if let Some(file) = belongs_to(&path).filter(|file| !file.exists()) {
+        if let Some(file) = temporary_file_of(&path).filter(|file| !file.exists()) {
             remove_companions(&file);
             continue;
         }
@@ -283,7 +285,7 @@ fn folder_of(file: &Path) -> &Path {
 
 /// The path of the temporary file to which a temporary folder belongs, derived from the folder's
 /// name.
-fn belongs_to(folder: &Path) -> Option<PathBuf> {
+fn temporary_file_of(folder: &Path) -> Option<PathBuf> {
     let name = folder.file_name()?.to_str().filter(|name| name.starts_with(PREFIX))?;
     let file = COMPANION_SUFFIXES.iter().find_map(|ending| name.strip_suffix(ending))?;
     file.ends_with(SUFFIX).then(|| folder.with_file_name(file))
@@ -361,7 +363,7 @@ const AT_ONCE: usize = 256 << 10;
 
 /// Lets `content` write to `out`. Returns the number of bytes, and their checksum if `crc` is
 /// given.
-pub(super) fn counted(
+pub(super) fn write_counted(
     out: impl Write,
     crc: Option<Hasher>,
     content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
@@ -374,14 +376,15 @@ pub(super) fn counted(
     Ok((bytes, crc))
 }
 
-/// Like [`counted`], for a file that is still empty. A large file bypasses the system's cache.
-pub(super) fn counted_in(
+/// Like [`write_counted`], for a file that is still empty. A large file bypasses the system's
+/// cache.
+pub(super) fn write_counted_to_file(
     file: &File,
     crc: Option<Hasher>,
     content: impl FnOnce(&mut dyn Write) -> io::Result<()>,
 ) -> io::Result<(u64, Option<Hasher>)> {
     let mut out = PastCache::new(file);
-    let counted = counted(&mut out, crc, content)?;
+    let counted = write_counted(&mut out, crc, content)?;
     out.finish()?;
     Ok(counted)
 }

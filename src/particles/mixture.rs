@@ -122,9 +122,10 @@ impl BoundingBox {
         let beyond =
             lo.cmplt(inner_lo).bitmask().count_ones() + hi.cmpgt(inner_hi).bitmask().count_ones();
         let overlap = hi.min(inner_hi) - lo.max(inner_lo);
-        let holds = overlap.cmpge(OVERLAP * (inner_hi - inner_lo)) | self.thin_axes(count);
+        let overlaps_or_is_thin =
+            overlap.cmpge(OVERLAP * (inner_hi - inner_lo)) | self.thin_axes(count);
         let is_body = (inner_hi - inner_lo).cmpgt(DVec3::ZERO).bitmask().count_ones() >= 2;
-        beyond >= 5 && holds.all() && is_body
+        beyond >= 5 && overlaps_or_is_thin.all() && is_body
     }
 }
 
@@ -210,17 +211,17 @@ fn mixture_by(particles: &dyn Particles, source: AttributeOrLabel, name: &str) -
         let ((boundary, _, around), (fluid, _, within)) = (&values[outer], &values[inner]);
         let cells = FluidCells::of(extents[inner], *within);
         let wet = wet(*fluid, &cells);
-        let (among, inside) = (AtomicU32::new(0), AtomicU32::new(0));
+        let (in_fluid_box, inside) = (AtomicU32::new(0), AtomicU32::new(0));
         visit(*boundary, &cells, &|cell| {
-            among.fetch_add(1, Ordering::Relaxed);
+            in_fluid_box.fetch_add(1, Ordering::Relaxed);
             if cells.is_inside(&wet, cell) {
                 inside.fetch_add(1, Ordering::Relaxed);
             }
         });
-        let is_apart = f64::from(inside.into_inner()) <= MOST_INSIDE * *around as f64;
+        let has_few_inside_fluid = f64::from(inside.into_inner()) <= MOST_INSIDE * *around as f64;
         let is_around = cells.count >= LEAST_CELLS
-            || f64::from(among.into_inner()) <= MOST_BOUNDARY_PER_FLUID * *within as f64;
-        is_apart && is_around
+            || f64::from(in_fluid_box.into_inner()) <= MOST_BOUNDARY_PER_FLUID * *within as f64;
+        has_few_inside_fluid && is_around
     };
     let around = pairs.filter(around).filter(|pair| !fills[pair.0]).filter(is_boundary);
     // A tank can also contain solid bodies. They mostly have fewer particles than the fluid, so the

@@ -59,7 +59,7 @@ impl Sieve {
 
     /// Returns the selected rows that `inner` also selects. Row i of `inner` stands for selected
     /// row number i of this sieve.
-    pub fn within(&self, inner: &Self) -> Self {
+    pub fn filtered_by(&self, inner: &Self) -> Self {
         let mut words = vec![0; self.words.len()];
         let rows = self.rows(0).enumerate().filter(|(number, _)| inner.holds(*number));
         rows.for_each(|(_, row)| Self::set(&mut words, row));
@@ -116,7 +116,7 @@ mod tests {
                 let inner: Vec<usize> = selected.iter().copied().step_by(3).collect();
                 let mut thirds = Sieve::none(selected.len());
                 (0..selected.len()).step_by(3).for_each(|number| Sieve::set(&mut thirds, number));
-                assert!(sieve.within(&Sieve::new(thirds)).rows(0).eq(inner));
+                assert!(sieve.filtered_by(&Sieve::new(thirds)).rows(0).eq(inner));
                 assert!((0..rows).all(|row| sieve.holds(row) == (row % every == every / 2)));
                 for first in [0, 1, 64, 70, selected.len() / 2, selected.len()] {
                     let from: Vec<usize> = sieve.rows(first).collect();

@@ -22,7 +22,7 @@ pub fn counted(number: u64, noun: &str) -> String {
 }
 
 /// The maximum number of unread particle types that a message names.
-const MOST_TYPES: usize = 12;
+const MOST_UNREAD_TYPES: usize = 12;
 
 /// Names the particle type that was read from a file, which is the first of `types`, and the types
 /// that were not read. Returns `None` if the file has fewer than two types.
@@ -30,7 +30,7 @@ pub fn type_read(types: &[String]) -> Option<String> {
     match types {
         [] | [_] => None,
         [read, others @ ..] => {
-            let (shown, more) = others.split_at(others.len().min(MOST_TYPES));
+            let (shown, more) = others.split_at(others.len().min(MOST_UNREAD_TYPES));
             let more = if more.is_empty() { String::new() } else { format!(" and {}", more.len()) };
             Some(format!("{read} (not read: {}{more})", shown.join(", ")))
         }

@@ -98,7 +98,7 @@ pub struct FoundWalls {
 /// Distances, in spacings, between the end of the fluid and a wall that make the surface at the
 /// wall ragged. At these distances, the fluid is too far from the wall to reach it, and too near to
 /// have a surface of its own.
-const RAGGED: Range<f64> = 0.35..1.0;
+const RAGGED_GAP_SPACINGS: Range<f64> = 0.35..1.0;
 
 impl FoundWalls {
     /// The sides of `walls` that the fluid almost reaches. `spacing` is used at every side if
@@ -109,7 +109,11 @@ impl FoundWalls {
             let outwards = if side == 0 { end - wall } else { wall - end };
             let spacing = self.spacings.map_or(spacing, |spacings| spacings[axis][side]);
             let axis = ['x', 'y', 'z'][axis];
-            RAGGED.contains(&(outwards / spacing)).then_some(GapAtWall { axis, wall, end })
+            RAGGED_GAP_SPACINGS.contains(&(outwards / spacing)).then_some(GapAtWall {
+                axis,
+                wall,
+                end,
+            })
         };
         (0..3)
             .flat_map(|axis| [0, 1].map(|side| (axis, side)))

@@ -16,7 +16,7 @@ use crate::system::timings::Timings;
 use super::SinglePrecision;
 use super::checked::CheckedRequest;
 use super::report::Report;
-use super::warning::{EmptyReason, Warning, lost_warning, of_isovalue};
+use super::warning::{EmptyReason, Warning, isovalue_warning, lost_warning};
 
 /// A surface, without the threads that made it.
 pub(crate) struct ExtractedSurface {
@@ -169,7 +169,7 @@ impl CheckedRequest {
         let Findings { calibration, measured, lost, shortfall } = found;
         report.calibration = calibration.filter(|_| report.indicator.is_some());
         (report.measured, report.lost) = (measured, lost);
-        let bubbles = measured.and_then(|measured| of_isovalue(&measured, self.surfacing.iso));
+        let bubbles = measured.and_then(|measured| isovalue_warning(&measured, self.surfacing.iso));
         report.warnings.extend(bubbles);
         report.warnings.extend(self.solid_warnings(&report.facts));
         let clouds = report.is_clouds();

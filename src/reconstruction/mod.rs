@@ -64,9 +64,9 @@ pub use report::Report;
 pub use request::{ChosenSampling, SamplingRequest, WallSearch};
 pub use spacing::{SpacingMistake, SpacingSource, SpacingWarning};
 pub use surface::Surface;
-pub(crate) use surface::storage_warnings;
+pub(crate) use surface::format_warnings;
 #[cfg(feature = "pictures")]
 pub(crate) use threads::Threads;
 pub use warning::{EmptyReason, Warning};
-pub(crate) use warning::{lost_warning, missing_attributes, of_alpha};
+pub(crate) use warning::{alpha_warnings, lost_warning, missing_attributes};
 pub use width::SinglePrecision;

@@ -670,8 +670,8 @@ impl SamplingRequest {
                 BinPlan::count_while(particles, &grid, domain.as_ref(), self.invalid, room, visit);
             Some((grid, plan.ok()?))
         };
-        let is_settled = self.periodic.is_none() && self.search != WallSearch::Walls;
-        let (cells, counted) = if is_settled {
+        let can_count_early = self.periodic.is_none() && self.search != WallSearch::Walls;
+        let (cells, counted) = if can_count_early {
             self.cells_while(particles, from, count)?
         } else {
             (self.cells(particles, from)?, None)

@@ -141,7 +141,7 @@ impl Surface {
     pub fn warnings_in(&self, format: MeshFormat) -> Result<Vec<Warning>, Error> {
         let threads = self.threads.started().map_err(Error::Threads)?;
         let warnings =
-            || storage_warnings(self.mesh(), self.extracted.precision, format, Path::new(""));
+            || format_warnings(self.mesh(), self.extracted.precision, format, Path::new(""));
         Ok(threads.install(warnings)?)
     }
 
@@ -208,7 +208,7 @@ impl fmt::Debug for Surface {
 
 /// Warnings about storing a mesh in `format`: coordinates that become inaccurate, attributes that
 /// are renamed or left out, and vertices that become equal.
-pub(crate) fn storage_warnings(
+pub(crate) fn format_warnings(
     mesh: &dyn MeshSource,
     precision: SinglePrecision,
     format: MeshFormat,

@@ -402,7 +402,7 @@ pub(crate) fn of_frame(engine: &Engine) -> Vec<Warning> {
             .and_then(|(given, found)| SpacingWarning::of_packed(given, found))
             .map(Warning::Spacing),
     );
-    warnings.extend(of_particles(
+    warnings.extend(particle_warnings(
         facts,
         engine.relative_density(),
         coincident,
@@ -437,7 +437,7 @@ pub(crate) fn mean_symmetry(sampled: &SampledDif) -> Option<f64> {
 
 /// Warnings about particles that are too dense, at the same position or without a value of an
 /// attribute, about cells that are too wide, and about a low mean of the indicator symmetry.
-pub(crate) fn of_particles<'a>(
+pub(crate) fn particle_warnings<'a>(
     facts: &FrameFacts,
     crowding: Option<f64>,
     coincident: Option<CoincidentParticles>,
@@ -482,7 +482,7 @@ pub(crate) fn missing_attributes(
 }
 
 /// Warnings about colours whose alpha was changed.
-pub(crate) fn of_alpha(particles: &AlikeParticles<'_>) -> impl Iterator<Item = Warning> {
+pub(crate) fn alpha_warnings(particles: &AlikeParticles<'_>) -> impl Iterator<Item = Warning> {
     let warning = |change: &AlphaChange| {
         let AlphaChange { attribute, own, shared } = change.clone();
         Warning::Alpha { attribute, own, shared }
@@ -491,7 +491,7 @@ pub(crate) fn of_alpha(particles: &AlikeParticles<'_>) -> impl Iterator<Item = W
 }
 
 /// A warning about a given isovalue, from measurements on the frame.
-pub(crate) fn of_isovalue(
+pub(crate) fn isovalue_warning(
     measured: &MeasuredCalibration,
     given: Option<Isovalue>,
 ) -> Option<Warning> {

@@ -114,7 +114,7 @@ impl Conversion<'_> {
             let first = jobs.next();
             jobs.by_ref().take(self.division.lanes - 1).for_each(send);
             let measured = self.settle(None, frames)?;
-            tally.list(frames, |_| false);
+            tally.add_finished(frames, |_| false);
             if let Some(Job { frame, .. }) = first {
                 let measured = measured.filter(|(number, _)| *number == frame.number);
                 let particles = measured.map(|(_, file)| file);
@@ -143,7 +143,7 @@ impl Conversion<'_> {
         let unknown = known.is_none() && !options.resume && options.watch.is_none();
         if !unknown {
             self.settle(known, frames)?;
-            tally.list(frames, |frame| options.resume && options.includes(frame.number));
+            tally.add_finished(frames, |frame| options.resume && options.includes(frame.number));
         }
         let wanted: Vec<_> = frames.iter().filter(|frame| options.includes(frame.number)).collect();
         let todo: Vec<&FrameFile> = wanted

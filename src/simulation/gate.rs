@@ -14,15 +14,15 @@ pub(super) struct FrameGate {
     lanes: usize,
     threads: usize,
     /// The thread pool for a frame that runs alone.
-    all: OnceLock<Option<ThreadPool>>,
+    full_pool: OnceLock<Option<ThreadPool>>,
     state: Mutex<GateState>,
     changed: Condvar,
 }
 
 #[derive(Debug, Default)]
 struct GateState {
-    inside: usize,
-    waiting_alone: usize,
+    lanes_in_use: usize,
+    waiting_to_run_alone: usize,
 }
 
 /// A permit to compute, which is returned on drop.
@@ -35,14 +35,14 @@ pub(super) struct Permit<'a> {
 impl FrameGate {
     /// Makes a gate for `lanes` lanes. A frame that runs alone uses `threads` threads.
     pub(super) fn new(lanes: usize, threads: usize) -> Self {
-        let (all, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
-        Self { lanes, threads, all, state, changed }
+        let (full_pool, state, changed) = (OnceLock::new(), Mutex::default(), Condvar::new());
+        Self { lanes, threads, full_pool, state, changed }
     }
 
     /// The threads of a frame that runs alone; `None` if the system cannot start them.
-    fn all(&self) -> Option<&ThreadPool> {
+    fn full_pool(&self) -> Option<&ThreadPool> {
         let start = || ThreadPoolBuilder::new().num_threads(self.threads).build().ok();
-        self.all.get_or_init(start).as_ref()
+        self.full_pool.get_or_init(start).as_ref()
     }
 
     fn state(&self) -> MutexGuard<'_, GateState> {
@@ -53,22 +53,22 @@ impl FrameGate {
     /// otherwise wait forever.
     pub(super) fn enter(&self) -> Permit<'_> {
         let mut state = self.state();
-        while state.waiting_alone > 0 || state.inside == self.lanes {
+        while state.waiting_to_run_alone > 0 || state.lanes_in_use == self.lanes {
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
-        state.inside += 1;
+        state.lanes_in_use += 1;
         Permit { gate: self, lanes: 1 }
     }
 
     /// Waits until no other frame has a permit.
     pub(super) fn enter_alone(&self) -> Permit<'_> {
         let mut state = self.state();
-        state.waiting_alone += 1;
-        while state.inside > 0 {
+        state.waiting_to_run_alone += 1;
+        while state.lanes_in_use > 0 {
             state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
         }
-        state.waiting_alone -= 1;
-        state.inside = self.lanes;
+        state.waiting_to_run_alone -= 1;
+        state.lanes_in_use = self.lanes;
         Permit { gate: self, lanes: self.lanes }
     }
 }
@@ -77,8 +77,8 @@ impl Permit<'_> {
     /// Runs `act` with the threads of this lane or, if the frame runs alone, with all threads.
     pub(super) fn run<T: Send>(&self, act: impl FnOnce() -> T + Send) -> T {
         let alone = self.lanes == self.gate.lanes;
-        match alone.then(|| self.gate.all()).flatten() {
-            Some(all) => all.install(act),
+        match alone.then(|| self.gate.full_pool()).flatten() {
+            Some(pool) => pool.install(act),
             None => act(),
         }
     }
@@ -86,7 +86,7 @@ impl Permit<'_> {
 
 impl Drop for Permit<'_> {
     fn drop(&mut self) {
-        self.gate.state().inside -= self.lanes;
+        self.gate.state().lanes_in_use -= self.lanes;
         self.gate.changed.notify_all();
     }
 }

@@ -35,7 +35,7 @@ pub(super) fn infer(files: &[FrameCandidate]) -> Result<Vec<Pattern>, Simulation
                 .for_each(|file| kinds.entry(file.skeleton()).or_default().push(file.clone())),
         }
     }
-    with_signs(&mut kinds);
+    merge_signed_names(&mut kinds);
     for files in kinds.into_values() {
         let mut files: Vec<&FrameCandidate> = files.iter().collect();
         files.sort_by(|a, b| a.path.cmp(&b.path));
@@ -60,7 +60,7 @@ fn group_by<'a>(
 }
 
 /// Treats `f-1` and `f1` as names of one kind: if both exist, the dash is a sign.
-fn with_signs(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
+fn merge_signed_names(kinds: &mut BTreeMap<String, Vec<FrameCandidate>>) {
     let dashed: Vec<String> =
         kinds.keys().filter(|kind| kind.matches("-\0").count() == 1).cloned().collect();
     for kind in dashed {

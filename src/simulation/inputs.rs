@@ -168,10 +168,10 @@ impl Inputs {
             })
         });
         if let Self::Files(named) = self {
-            refuse_folders(named)?;
+            reject_folders(named)?;
         }
         if let Some(unnumbered) = files.iter().find(|file| file.runs.is_empty()) {
-            if let Some(missing) = missing(&unnumbered.path).filter(|_| idle.is_none()) {
+            if let Some(missing) = missing_file_error(&unnumbered.path).filter(|_| idle.is_none()) {
                 return Err(missing);
             }
             if files.iter().all(|file| file.runs.is_empty()) {
@@ -232,7 +232,7 @@ impl Inputs {
     /// Returns an error if a file of `frames` was named in the request, but does not exist.
     fn expect_files(&self, frames: &[FrameFile]) -> Result<(), SimulationError> {
         let Self::Files(_) = self else { return Ok(()) };
-        frames.iter().flat_map(FrameFile::paths).find_map(missing).map_or(Ok(()), Err)
+        frames.iter().flat_map(FrameFile::paths).find_map(missing_file_error).map_or(Ok(()), Err)
     }
 
     /// The error for inputs without frames.
@@ -325,14 +325,14 @@ impl Inputs {
             Self::Pattern(pattern) => {
                 let named =
                     |path: PathBuf| pattern.folder.join(path.file_name().unwrap_or_default());
-                all_in(pattern.folder())?
+                files_and_broken_links_in(pattern.folder())?
                     .into_iter()
                     .filter(|path| !self.hides(path))
                     .map(|path| FrameCandidate::from(named(path)))
                     .collect()
             }
             Self::Folder(folder) => {
-                let all = all_in(folder)?;
+                let all = files_and_broken_links_in(folder)?;
                 let frames = |is_frame: fn(&Path) -> bool| {
                     let files = all.iter().filter(|path| is_frame(path) && !self.hides(path));
                     // A folder may contain files other than frames, so files without a number are
@@ -459,7 +459,7 @@ impl Sequence {
         if let Some(pattern) =
             self.pattern.as_ref().filter(|_| !matches!(self.source, Inputs::Pattern(_)))
         {
-            refuse_decimals(pattern, &frames)?;
+            reject_decimals(pattern, &frames)?;
         }
         if let Some((a, b)) = neighbours(&frames)
             .find(|(a, b)| a.number == b.number || a.time.is_some() && a.time == b.time)
@@ -599,7 +599,7 @@ pub fn files(arguments: &[PathBuf], wanted: impl Fn(&Path) -> bool) -> Result<Ve
         if found.is_empty() {
             return Err(SimulationError::NoFiles(argument.display().to_string()).into());
         }
-        found.sort_by_cached_key(|path| in_order_of_numbers(path));
+        found.sort_by_cached_key(|path| natural_sort_key(path));
         all.append(&mut found);
     }
     Ok(all)
@@ -610,14 +610,14 @@ pub(super) fn files_in(
     folder: &Path,
     wanted: impl Fn(&Path) -> bool,
 ) -> Result<Vec<PathBuf>, SimulationError> {
-    let mut files = all_in(folder)?;
+    let mut files = files_and_broken_links_in(folder)?;
     files.retain(|file| wanted(file));
     files.sort();
     Ok(files)
 }
 
 /// Splits a name into alternating text and numbers, as a sort key.
-fn in_order_of_numbers(path: &Path) -> Vec<(String, u64)> {
+fn natural_sort_key(path: &Path) -> Vec<(String, u64)> {
     let name = path.to_string_lossy();
     let mut parts = Vec::new();
     let mut begin = 0;
@@ -646,7 +646,7 @@ fn without_meshes(files: Vec<FrameCandidate>) -> Vec<FrameCandidate> {
 }
 
 /// Rejects folders among several inputs.
-fn refuse_folders(inputs: &[PathBuf]) -> Result<(), SimulationError> {
+fn reject_folders(inputs: &[PathBuf]) -> Result<(), SimulationError> {
     match inputs.iter().find(|input| inputs.len() > 1 && input.is_dir()) {
         None => Ok(()),
         Some(folder) => Err(SimulationError::Names(format!(
@@ -657,7 +657,7 @@ fn refuse_folders(inputs: &[PathBuf]) -> Result<(), SimulationError> {
 }
 
 /// The error for an input that does not exist; `None` if the input exists.
-fn missing(input: &Path) -> Option<SimulationError> {
+fn missing_file_error(input: &Path) -> Option<SimulationError> {
     let fault = file_and_step(input).0.metadata().err()?;
     Some(SimulationError::Unreadable { path: input.to_owned(), fault })
 }
@@ -670,7 +670,7 @@ fn is_unchanged_for(file: &FrameCandidate, patience: Duration) -> bool {
 
 /// Rejects numbers that may be decimals, such as in `f_0.15` and `f_0.2`, because the integers 15
 /// and 2 would put these frames in the wrong order.
-fn refuse_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), SimulationError> {
+fn reject_decimals(pattern: &Pattern, frames: &[FrameFile]) -> Result<(), SimulationError> {
     let before = pattern.prefix.strip_suffix('.').and_then(|before| before.chars().last());
     if !before.is_some_and(|last| last.is_ascii_digit()) {
         return Ok(());
@@ -698,7 +698,7 @@ fn members_of(members: &[Inputs]) -> Result<Vec<Sequence>, SimulationError> {
     Ok(sequences)
 }
 
-fn all_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
+fn files_and_broken_links_in(folder: &Path) -> Result<Vec<PathBuf>, SimulationError> {
     let fail = |fault| SimulationError::Unreadable { path: folder.to_owned(), fault };
     let entries = match std::fs::read_dir(folder) {
         // A missing folder is not an error here, because a simulation that is being watched may
@@ -752,7 +752,7 @@ mod tests {
         std::os::unix::fs::symlink("nowhere", at("a_3.xyz")).unwrap();
         let made = std::process::Command::new("mkfifo").arg(at("a_4.xyz")).status().unwrap();
         assert!(made.success());
-        let mut files = all_in(folder.path()).unwrap();
+        let mut files = files_and_broken_links_in(folder.path()).unwrap();
         files.sort();
         assert_eq!(files, [at("a_1.xyz"), at("a_3.xyz")]);
     }

@@ -14,7 +14,7 @@ use crate::particles::kind::{SettledKind, determine, known_of, settled_for_all};
 use crate::particles::sizes::Sizes;
 use crate::reconstruction::{
     self, ExtractedSurface, FoundWalls, Reconstruction, Report, SinglePrecision, Slab,
-    SpacingWarning, StartedRequest, Surface, Warning, missing_attributes, of_alpha,
+    SpacingWarning, StartedRequest, Surface, Warning, alpha_warnings, missing_attributes,
 };
 use crate::system::timings::Timings;
 
@@ -174,7 +174,7 @@ impl LiveSimulation {
             &AlikeParticles::of(particles, &carried, kinds).map_err(FrameError::from)?;
         let infos = known_of(particles, &carried, kinds);
         let missing = missing_attributes(&infos, kinds, None);
-        let alpha = of_alpha(particles);
+        let alpha = alpha_warnings(particles);
         let resources = checked.resources.clone();
         let request = &checked.sampling;
         if !is_measured {

@@ -28,8 +28,8 @@ use crate::particles::alike::AlikeParticles;
 use crate::particles::kind::known_of;
 use crate::reconstruction::{
     CheckedRequest, ExtractedSurface, Orientation, Output, Report, SinglePrecision, SpacingSource,
-    SpacingWarning, TemporaryOutput, Warning, coordinate_width, missing_attributes, of_alpha,
-    refuse_same_file, storage_warnings,
+    SpacingWarning, TemporaryOutput, Warning, alpha_warnings, coordinate_width, format_warnings,
+    missing_attributes, refuse_same_file,
 };
 use crate::surface::mesh::source::BoundedMesh;
 use crate::system::control::Stage;
@@ -184,7 +184,7 @@ impl Conversion<'_> {
         checked.settings.check_attributes(&target, self.format, || Ok(mesh.attributes()))?;
         let width = coordinate_width(precision, self.format, &target)?;
         warnings.extend(report.iter_mut().flat_map(|report| take(&mut report.warnings)));
-        warnings.extend(storage_warnings(mesh, precision, self.format, &target)?);
+        warnings.extend(format_warnings(mesh, precision, self.format, &target)?);
         let turned = orientation.turned(mesh);
         let bounded = BoundedMesh::new(&turned);
         let number = frame.number as f64;
@@ -316,7 +316,7 @@ impl Conversion<'_> {
         let particles = alike.map_err(|fault| in_file(fault.into()))?;
         let infos = known_of(&particles, &carried, &shared.kinds);
         let missing = missing_attributes(&infos, &shared.kinds, Some(shared.frame));
-        let alpha = of_alpha(&particles);
+        let alpha = alpha_warnings(&particles);
         let (mut sampling, wall_warnings) =
             self.setup.sampling(shared, &particles, carried, opening)?;
         // Particles of several sizes have no single spacing to check.

@@ -342,7 +342,7 @@ impl Simulation {
         if let Some(what) = series.path_fault() {
             return Err(SimulationError::Names(what).into());
         }
-        setup.refuse_own_inputs(&frames, &series, &store)?;
+        setup.reject_outputs_among_inputs(&frames, &series, &store)?;
         let wanted: Vec<_> = frames.iter().filter(|frame| self.includes(frame.number)).collect();
         if wanted.is_empty() && self.watch.is_none() {
             return Err(SimulationError::NoFrameSelected(setup.sequence.describe()).into());

@@ -203,7 +203,7 @@ impl Setup<'_> {
 
     /// Rejects an output that is also an input, even under another name, or that would become an
     /// input. Also rejects an input that occurs twice in one frame.
-    pub(super) fn refuse_own_inputs(
+    pub(super) fn reject_outputs_among_inputs(
         &self,
         frames: &[FrameFile],
         series: &Series,
@@ -276,21 +276,23 @@ impl Setup<'_> {
         let Some(text) = store.text()? else { return Ok(StateLookup::Nothing) };
         let overwrite = self.simulation.overwrite;
         let state = match store.parsed(&text) {
-            Err(_) if overwrite => return Ok(StateLookup::Stale { text, of_others: true }),
+            Err(_) if overwrite => {
+                return Ok(StateLookup::Stale { text, has_other_settings_or_damage: true });
+            }
             found => found?,
         };
         if !overwrite {
             self.refuse_other_inputs(store, &state, frames)?;
         }
         let mut differing = state.differing(&self.settings_to_store(Some(&state)));
-        let of_others = !differing.is_empty();
+        let has_other_settings = !differing.is_empty();
         if state.shared.changed_in(frames).is_some() {
             let comma = if differing.is_empty() { "" } else { ", " };
             let _ = write!(differing, "{comma}the input of frame {}", state.shared.frame);
         }
         let is_alone = self.simulation.makes_all_again() && !store.log.others_are_open();
         if differing.is_empty() && is_alone {
-            return Ok(StateLookup::Stale { text, of_others: false });
+            return Ok(StateLookup::Stale { text, has_other_settings_or_damage: false });
         }
         if differing.is_empty() {
             if self.is_calibrated(&state, frames) {
@@ -299,14 +301,17 @@ impl Setup<'_> {
             let what = "the calibration is missing, incomplete, or for another indicator".into();
             let damaged = SimulationError::State { path: store.state_path(), what };
             return if overwrite {
-                Ok(StateLookup::Stale { text, of_others: true })
+                Ok(StateLookup::Stale { text, has_other_settings_or_damage: true })
             } else {
                 Err(damaged.into())
             };
         }
-        if overwrite || self.simulation.resume && !of_others {
+        if overwrite || self.simulation.resume && !has_other_settings {
             self.send(Event::Restarted { state: store.state_path(), differing });
-            return Ok(StateLookup::Stale { text, of_others });
+            return Ok(StateLookup::Stale {
+                text,
+                has_other_settings_or_damage: has_other_settings,
+            });
         }
         Err(SimulationError::Settings { path: store.state_path(), differing }.into())
     }

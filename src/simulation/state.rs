@@ -86,7 +86,7 @@ pub enum StateLookup {
         text: Vec<u8>,
         /// Whether the state has other settings or is damaged. False if only the calibration frame
         /// has changed, or if the run makes all frames again with the same settings.
-        of_others: bool,
+        has_other_settings_or_damage: bool,
     },
 }
 
@@ -182,8 +182,8 @@ impl StateFolder {
         self.makes_frames = makes_frames;
         match found {
             StateLookup::Nothing => Ok(None),
-            StateLookup::Stale { text, of_others } => {
-                self.stale = Some((text, of_others));
+            StateLookup::Stale { text, has_other_settings_or_damage } => {
+                self.stale = Some((text, has_other_settings_or_damage));
                 Ok(None)
             }
             StateLookup::Kept(state, text) => {
@@ -224,8 +224,8 @@ impl StateFolder {
         let _lock = self.locked();
         let existing = self.text()?;
         let stored = match (existing, &self.stale) {
-            (Some(existing), Some((stale, of_others))) if existing == *stale => {
-                if *of_others && self.log.others_are_open() {
+            (Some(existing), Some((stale, has_other_settings_or_damage))) if existing == *stale => {
+                if *has_other_settings_or_damage && self.log.others_are_open() {
                     return Err(SimulationError::Busy(path));
                 }
                 replace_small(&path, &json(state)).map_err(fail)?;
@@ -338,7 +338,10 @@ mod tests {
                 busy.log.open().unwrap();
                 let text = store.text().unwrap().unwrap();
                 let mut replacing = StateFolder::beside(&folder.path().join("fluid.ply"));
-                let stale = |of_others| StateLookup::Stale { text: text.clone(), of_others };
+                let stale = |has_other_settings_or_damage| StateLookup::Stale {
+                    text: text.clone(),
+                    has_other_settings_or_damage,
+                };
                 assert_eq!(replacing.begin(stale(true), false).unwrap(), None);
                 assert_eq!(replacing.load().unwrap(), store.load().unwrap(), "the old state stays");
                 assert!(matches!(replacing.add(&other), Err(SimulationError::Busy(_))));

@@ -68,7 +68,7 @@ impl<'a> Tally<'a> {
 
     /// Adds frames that are already finished. A frame for which `verify_bytes` is true is added
     /// only if the bytes of its mesh match the record.
-    pub(super) fn list(
+    pub(super) fn add_finished(
         &mut self,
         frames: &[FrameFile],
         verify_bytes: impl Fn(&FrameFile) -> bool + Sync,
@@ -93,7 +93,11 @@ impl<'a> Tally<'a> {
     /// Adds nothing if the request overwrites meshes, because a mesh may belong to an earlier
     /// simulation. Also adds nothing if the file names do not contain the frame numbers, because
     /// the frame of a mesh may have another number by now.
-    fn list_others(&mut self, meshes: &ExistingMeshes, frames: &[FrameFile]) -> usize {
+    fn add_finished_without_input(
+        &mut self,
+        meshes: &ExistingMeshes,
+        frames: &[FrameFile],
+    ) -> usize {
         let Setup { simulation, sequence, ref outputs, .. } = *self.conversion.setup;
         let has_numbers = sequence.has_own_numbers();
         let Some(Some(settled)) = self.conversion.settled.get() else { return 0 };
@@ -251,9 +255,9 @@ impl<'a> Tally<'a> {
         // all jobs.
         let lock = self.conversion.store.locked();
         let all = self.conversion.setup.all_frames()?;
-        self.list(&all, |_| false);
+        self.add_finished(&all, |_| false);
         let meshes = self.conversion.setup.existing_meshes(&self.conversion.store);
-        let without_input = self.list_others(&meshes, &all);
+        let without_input = self.add_finished_without_input(&meshes, &all);
         let numbers: BTreeSet<i64> = self.listed.keys().copied().collect();
         let mut stale = meshes.stale(&numbers, outputs.folder(), |number| {
             simulation.includes(number) && simulation.selection.spans(number)

@@ -36,8 +36,8 @@ const WIDTHS: [(f64, f64); 3] = [(0.625, 0.35), (1.0, 0.85), (1.5, 1.75)];
 const CUT: f64 = 2.2;
 /// The standard deviation of the mask that averages the distance between the fine and the calm
 /// surface, relative to the smoothing width.
-const AROUND: f64 = 0.5625;
-const AROUND_CUT: f64 = 1.7;
+const DIFFERENCE_WIDTH: f64 = 0.5625;
+const DIFFERENCE_CUT: f64 = 1.7;
 /// Minimum variance of all other masks, in squared cells of the field that the mask blurs.
 const LEAST_VARIANCE: f64 = 0.35;
 /// Maximum distance from the surface, in spacings, that is computed with one width.
@@ -253,7 +253,10 @@ impl Distances {
 
     /// The mask that averages the distance between the fine and the calm surface.
     fn around(&self, edge: f64) -> Vec<f64> {
-        gaussian((AROUND * self.smooth / edge).powi(2).max(LEAST_VARIANCE), AROUND_CUT)
+        gaussian(
+            (DIFFERENCE_WIDTH * self.smooth / edge).powi(2).max(LEAST_VARIANCE),
+            DIFFERENCE_CUT,
+        )
     }
 
     /// The variance that the spline between wide cells adds, in squared spacings.

@@ -52,9 +52,9 @@ impl PageSource for RebuiltPages {
 
 /// Pages that cannot be recomputed.
 #[derive(Debug)]
-struct LostPages(PageShape);
+struct UnrecoverablePages(PageShape);
 
-impl PageSource for LostPages {
+impl PageSource for UnrecoverablePages {
     /// Returns zeros. The zeros are not used, because the frame returns the error of the device.
     fn samples(&self, _: usize) -> Vec<u16> {
         vec![0; self.0.bin_samples()]
@@ -79,7 +79,7 @@ pub(super) fn of_resident(
     infos: Vec<PageInfo>,
     shape: PageShape,
 ) -> DifField {
-    field(frame, infos, shape, Box::new(LostPages(shape)))
+    field(frame, infos, shape, Box::new(UnrecoverablePages(shape)))
 }
 
 fn field(

@@ -22,9 +22,9 @@ const WIDTHS: [f64; 3] = [0.625, 1.0, 1.5];
 const CUT: f64 = 2.2;
 /// The standard deviation of the Gaussian that averages the difference between the fine and the
 /// calm surface, as a multiple of the requested width.
-const AROUND: f64 = 0.5625;
+const DIFFERENCE_WIDTH: f64 = 0.5625;
 /// The cut-off of the Gaussian that averages the difference, in standard deviations.
-const AROUND_CUT: f64 = 1.7;
+const DIFFERENCE_CUT: f64 = 1.7;
 /// Limits, in spacings, of the mean difference between the fine and the calm surface. A difference
 /// up to the first limit is noise, and from the second limit on it is shape.
 const APART: [f64; 2] = [0.07, 0.14];
@@ -141,9 +141,9 @@ impl DistanceFilters {
             let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));
             ((a + spline) / (b - a) * 4096.0).round() as i32
         };
-        let around = (AROUND * smooth.spacings() / wide.edge).powi(2).max(LEAST_VARIANCE);
+        let around = (DIFFERENCE_WIDTH * smooth.spacings() / wide.edge).powi(2).max(LEAST_VARIANCE);
         let around =
-            Weights::of_variance(around, (AROUND_CUT * around.sqrt()).round().max(1.0) as i32);
+            Weights::of_variance(around, (DIFFERENCE_CUT * around.sqrt()).round().max(1.0) as i32);
         let amount = f64::from(wide.amount().steps());
         let bulk = Bulk {
             shares: [share(0), share(1)],

@@ -93,10 +93,10 @@ const LEAST_CELLS: f64 = 0.66;
 /// The minimum half thickness of rims and filaments, in cells of the mesh.
 const LEAST_RIM_CELLS: f64 = 0.85;
 /// The length, in spacings, that is added to both minimum half thicknesses.
-const LEAST_MORE: f64 = 0.05;
-/// The upper limit, in spacings, of each minimum half thickness, including [`LEAST_MORE`]. It
-/// matters only in coarse cells.
-const LEAST_MOST: f64 = 1.0;
+const LEAST_HALF_THICKNESS_OFFSET: f64 = 0.05;
+/// The upper limit, in spacings, of each minimum half thickness, including
+/// [`LEAST_HALF_THICKNESS_OFFSET`]. It matters only in coarse cells.
+const LEAST_HALF_THICKNESS_LIMIT: f64 = 1.0;
 /// A thickness is increased if its log2 R^2 differs from that of the minimum by less than this
 /// number divided by the mesh's cell in spacings.
 const GRADUAL: f64 = 0.55;
@@ -104,7 +104,7 @@ const GRADUAL: f64 = 0.55;
 /// cells.
 const MOST_GRADUAL: f64 = 4.0;
 /// Sheets have faded out completely where their stretch is this factor times the requested maximum.
-const GONE: f64 = 1.12;
+const FADED_OUT_STRETCH: f64 = 1.12;
 /// The factor by which filaments may be stretched farther than sheets, because spray seldom looks
 /// like filaments.
 const FILAMENTS_FARTHER: f64 = 1.08;
@@ -147,7 +147,7 @@ pub const BEYOND: Ramp = ramp([0.6, 0.75]);
 /// The distance, in spacings, by which sheets stand out earlier than drops.
 pub(in crate::field) const STANDS_OUT_EARLIER: f64 = 0.35;
 /// The maximum difference between the density's natural logarithms at the middle and at the cell.
-const MOST_MORE: f64 = 0.7;
+const MAX_LOG_INCREASE: f64 = 0.7;
 
 /// The parameters for computing sheets. The density is computed on wide cells and interpolated on
 /// the narrower cells of drops.
@@ -229,7 +229,7 @@ pub struct SheetConstants {
     /// The factor of a^2 in the logarithm of a share.
     pub by_distance: i32,
     /// The range of the stretch's logarithm in which sheets fade out: from the requested maximum to
-    /// `GONE` times this maximum.
+    /// `FADED_OUT_STRETCH` times this maximum.
     pub torn: Ramp,
 }
 
@@ -286,25 +286,28 @@ impl Sheets {
         let profile = PROFILE.max(PROFILE_CELLS * cell);
         let profile_joined = profile * profile + drops.spline * cell * cell;
         let level = -(drops.radius / drops.width).powi(2) / 2.0;
-        let [least_size, least_rim] = [LEAST_CELLS, LEAST_RIM_CELLS]
-            .map(|cells| 2.0 * log2((cells * mesh_cell + LEAST_MORE).min(LEAST_MOST)));
+        let [least_size, least_rim] = [LEAST_CELLS, LEAST_RIM_CELLS].map(|cells| {
+            2.0 * log2(
+                (cells * mesh_cell + LEAST_HALF_THICKNESS_OFFSET).min(LEAST_HALF_THICKNESS_LIMIT),
+            )
+        });
         let gradual = (GRADUAL / mesh_cell).min(MOST_GRADUAL);
         let average = (AVERAGE / cell).powi(2).max(0.5);
         let stretches =
             [0.5 * log2(of_sheet(1.0)), log2(of_filament(1.0)) - log2(FILAMENTS_FARTHER)];
-        let gone = log2(stretch * GONE);
+        let gone = log2(stretch * FADED_OUT_STRETCH);
         // The stretch of a sheet depends on half of the density's logarithm, the stretch of a
         // filament on all of it. In between, the dependence is interpolated.
         let least_density = (2.0 * (stretches[0] - gone)).min(stretches[1] - gone);
         let numbers = SheetConstants {
             step,
-            least: fixed(log2(plateau) + least_density - MOST_MORE * LOG2_E - 0.02),
+            least: fixed(log2(plateau) + least_density - MAX_LOG_INCREASE * LOG2_E - 0.02),
             slope: fixed(LN_2 * apart / 2.0),
             bend: fixed(LN_2 * apart * apart),
             // The 4 allows for the rounding errors of the axes.
             least_across: (LEAST_ACROSS * f64::from(ONE) / (LN_2 * apart * apart)) as i32 - 4,
             plateau: fixed(log2(plateau)),
-            most_more: fixed(MOST_MORE),
+            most_more: fixed(MAX_LOG_INCREASE),
             sizes: [
                 fixed(2.0 * log2(0.5 / of_sheet(1.0))),
                 fixed(log2(1.0 / (PI * of_filament(1.0)))),

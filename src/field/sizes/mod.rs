@@ -43,11 +43,11 @@ use crate::grid::MOST_LEVELS;
 pub const MOST_OCTAVES: usize = MOST_LEVELS;
 
 /// The width of the Gaussian that averages sizes, in spacings of the octave.
-const MIXED: f64 = 1.5;
+const AVERAGING_WIDTH: f64 = 1.5;
 /// The cut-off of the Gaussian that averages sizes, in standard deviations.
-const MIXED_CUT: f64 = 2.6;
+const AVERAGING_CUT: f64 = 2.6;
 /// The gain of the filter that averages sizes, in bits.
-const MIXED_GAIN: u32 = 2;
+const AVERAGING_GAIN: u32 = 2;
 
 /// The growth of a drop's nominal radius from a size to twice that size, in spacings of the octave,
 /// is the first number plus the second number divided by the squared spacing in cells. This growth
@@ -67,7 +67,7 @@ pub fn growth(spacing_cells: f64) -> i32 {
 /// The filter that averages sizes, in wide cells of an octave.
 #[must_use]
 pub fn averaging(wide: WideCells) -> Weights {
-    gaussian(MIXED / wide.edge, 0.5, MIXED_CUT).0.gaining(MIXED_GAIN)
+    gaussian(AVERAGING_WIDTH / wide.edge, 0.5, AVERAGING_CUT).0.gaining(AVERAGING_GAIN)
 }
 
 /// The brick size for the clouds of particles of several sizes.

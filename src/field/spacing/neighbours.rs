@@ -209,10 +209,10 @@ impl Neighbours {
 
     /// Whether part of the fluid is deep, and as dense as the spacing implies.
     pub fn has_solid(&self, spacing: f64) -> bool {
-        const SOME: f64 = 0.02;
+        const LEAST_FITTING_SHARE: f64 = 0.02;
         let below = |ratio: f64| self.solids.partition_point(|&solid| solid < ratio * spacing);
         let fitting = below(1.25) - below(0.8);
-        fitting >= ENOUGH && fitting as f64 >= SOME * self.queried as f64
+        fitting >= ENOUGH && fitting as f64 >= LEAST_FITTING_SHARE * self.queried as f64
     }
 
     /// The spacing that the distances to the nearest neighbours suggest, even if few particles were

@@ -19,7 +19,7 @@ const LIBRARY_VERSION: i32 = 1_08_00;
 /// its times.
 const ACYCLIC: f64 = f64::MAX / 32.0;
 /// Metadata index of a header that contains its own metadata instead of referring to the list.
-const NOT_LISTED: usize = 255;
+const INLINE_METADATA: usize = 255;
 
 /// A number type, with the code that Alembic assigns to it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -104,7 +104,7 @@ pub struct TimeSampling {
 
 impl TimeSampling {
     /// The default time sampling, which has index 0: one sample per second from time 0.
-    fn of_constants() -> Self {
+    fn default_sampling() -> Self {
         Self { per_cycle: 1.0, times: vec![0.0], samples: 1 }
     }
 
@@ -155,7 +155,7 @@ pub fn archive(
     const WRITER: &str = concat!("_ai_Application=meniscus ", env!("CARGO_PKG_VERSION"));
     let metadata = blocks.data(WRITER.as_bytes());
     let mut samplings = Vec::new();
-    TimeSampling::of_constants().put(&mut samplings);
+    TimeSampling::default_sampling().put(&mut samplings);
     sampling.put(&mut samplings);
     let samplings = blocks.data(&samplings);
     let listed = blocks.data(&metadata_list.bytes());
@@ -177,7 +177,7 @@ impl AbcObject {
             headers.extend(child.name.as_bytes());
             let index = list.index(&child.metadata);
             headers.push(index as u8);
-            if index == NOT_LISTED {
+            if index == INLINE_METADATA {
                 headers.extend((child.metadata.len() as u32).to_le_bytes());
                 headers.extend(child.metadata.as_bytes());
             }
@@ -271,7 +271,7 @@ fn put_header(
     };
     numbers.iter().for_each(|&number| put(number, ""));
     put(sizes[0], name);
-    if index == NOT_LISTED {
+    if index == INLINE_METADATA {
         put(sizes[1], metadata);
     }
 }
@@ -281,7 +281,7 @@ fn put_header(
 struct MetadataList(Vec<String>);
 
 impl MetadataList {
-    /// The index of `metadata`. The index is 0 for empty metadata, and [`NOT_LISTED`] if the
+    /// The index of `metadata`. The index is 0 for empty metadata, and [`INLINE_METADATA`] if the
     /// metadata is longer than 255 bytes or the list is full.
     fn index(&mut self, metadata: &str) -> usize {
         if metadata.is_empty() {
@@ -290,8 +290,8 @@ impl MetadataList {
         if let Some(index) = self.0.iter().position(|listed| listed == metadata) {
             return index + 1;
         }
-        if metadata.len() > 255 || self.0.len() + 1 == NOT_LISTED {
-            return NOT_LISTED;
+        if metadata.len() > 255 || self.0.len() + 1 == INLINE_METADATA {
+            return INLINE_METADATA;
         }
         self.0.push(metadata.to_owned());
         self.0.len()

@@ -17,16 +17,16 @@ pub const MOST_GROUPS: usize = 1 << 10;
 /// Maximum depth of nested groups that are searched.
 pub const DEEPEST: usize = 8;
 /// Maximum number of lines of the summary.
-const LINES: usize = 20;
+const MAX_LINES: usize = 20;
 /// Maximum number of members of a compound type that the summary lists.
-const MEMBERS: usize = 12;
+const MAX_MEMBERS: usize = 12;
 /// Maximum number of arrays of a group that are searched for positions in a plane.
 const MOST_ARRAYS: usize = 100;
 /// Prefix of the names of compound members in which pandas stores several columns each. The names
 /// of these columns are stored only in Python's pickle format, which this reader does not support.
 const PANDAS: &str = "values_block_";
 /// Maximum length of a name in characters.
-const LETTERS: usize = 100;
+const MAX_NAME_CHARS: usize = 100;
 
 /// The error for a file in which no positions were found. It lists the contents of `root`.
 ///
@@ -68,7 +68,7 @@ struct Summary {
 impl Summary {
     fn of(root: &Group) -> Result<Self, ReadFault> {
         let (mut lines, mut more, mut on_plane) = (Vec::new(), 0, None);
-        let mut push = |line: &dyn Fn() -> String| match lines.len() < LINES {
+        let mut push = |line: &dyn Fn() -> String| match lines.len() < MAX_LINES {
             true => lines.push(line()),
             false => more += 1,
         };
@@ -121,10 +121,10 @@ fn arrays(sets: &[Dataset]) -> Vec<NamedArray> {
     arrays
 }
 
-/// Shortens a name to at most [`LETTERS`] characters, and escapes control characters.
+/// Shortens a name to at most [`MAX_NAME_CHARS`] characters, and escapes control characters.
 fn short(name: &str) -> String {
-    let shown: String = name.chars().take(LETTERS).flat_map(char::escape_debug).collect();
-    if name.chars().nth(LETTERS).is_some() { format!("{shown}...") } else { shown }
+    let shown: String = name.chars().take(MAX_NAME_CHARS).flat_map(char::escape_debug).collect();
+    if name.chars().nth(MAX_NAME_CHARS).is_some() { format!("{shown}...") } else { shown }
 }
 
 /// The name of a data type in NumPy's notation.
@@ -137,13 +137,13 @@ fn kind(kind: &Datatype) -> String {
         Datatype::FloatingPoint { size: 2, .. } => "float16, which is not supported".to_owned(),
         Datatype::FloatingPoint { size, .. } => format!("float{}", u32::from(*size) * 8),
         Datatype::Compound { fields, .. } => {
-            let members = fields.iter().take(MEMBERS);
+            let members = fields.iter().take(MAX_MEMBERS);
             let members = members.map(|field| match scalar(&field.datatype) {
                 Some(_) => short(&field.name),
                 None => format!("{}: {}", short(&field.name), self::kind(&field.datatype)),
             });
             let members = members.collect::<Vec<_>>().join(", ");
-            match fields.len().saturating_sub(MEMBERS) {
+            match fields.len().saturating_sub(MAX_MEMBERS) {
                 0 => format!("table of {members}"),
                 more => format!("table of {members} and {more} more"),
             }

@@ -119,8 +119,9 @@ fn numbered(root: &Group, file: &H5File) -> Result<Vec<(u64, Group)>, ReadFault>
     for group in &groups {
         let parent = group.name().to_ascii_lowercase();
         let parent = super::groups::last_name(&parent);
-        let may_be = |name: &String| step_number(&name.to_ascii_lowercase(), parent).is_some();
-        if convert_error(group.member_names())?.0.iter().any(may_be) {
+        let is_frame_name =
+            |name: &String| step_number(&name.to_ascii_lowercase(), parent).is_some();
+        if convert_error(group.member_names())?.0.iter().any(is_frame_name) {
             found.push(in_group(&convert_error(group.groups())?, |name| step_number(name, parent)));
         }
     }

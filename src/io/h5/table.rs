@@ -33,7 +33,7 @@ const FLUIDS: [&str; 2] = ["parttype0", "fluid"];
 const GAS: &str = "gas";
 /// Names, in lower case, of types of particles that are not liquids: walls, and components of a
 /// galaxy other than gas.
-const NO_LIQUIDS: [&str; 21] = [
+const NON_LIQUIDS: [&str; 21] = [
     "boundary",
     "boundaries",
     "wall",
@@ -645,11 +645,11 @@ fn default_type(known: &[String]) -> Option<&str> {
         let mut found = known.iter().filter(|name| is_called(name, called));
         found.next().filter(|_| found.next().is_none()).map(String::as_str)
     };
-    let is_no_liquid = |name: &String| {
+    let is_non_liquid = |name: &String| {
         let name = last_name(name).to_ascii_lowercase();
-        name == GAS || name.starts_with("parttype") || NO_LIQUIDS.contains(&&*name)
+        name == GAS || name.starts_with("parttype") || NON_LIQUIDS.contains(&&*name)
     };
-    let gas = || only(GAS).filter(|_| known.iter().all(is_no_liquid));
+    let gas = || only(GAS).filter(|_| known.iter().all(is_non_liquid));
     FLUIDS.into_iter().find_map(only).or_else(gas)
 }
 

@@ -34,8 +34,8 @@ struct Chunks<'a> {
     view: ByteView<'a>,
     /// Byte offset of the start of each chunk, and of the end of the last chunk.
     bounds: Vec<usize>,
-    each: u64,
-    last: u64,
+    chunk_size: u64,
+    last_chunk_size: u64,
 }
 
 /// Unpacks a container. Unpacks several chunks in parallel if the memory suffices.
@@ -64,7 +64,7 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFa
     } else {
         let mut unpacked = UnpackBuffer::new(unpacking);
         let count = chunks.bounds.len() - 1;
-        let room = (unpacking.in_memory / chunks.each.max(1)) as usize;
+        let room = (unpacking.in_memory / chunks.chunk_size.max(1)) as usize;
         let batch = room.clamp(1, 2 * rayon::current_num_threads());
         let mut several = Vec::new();
         for first in (0..count).step_by(batch) {
@@ -120,20 +120,22 @@ impl<'a> Chunks<'a> {
         }
         bounds.push(index_at as usize);
         let at = cursor.at();
-        let (each, last) = (cursor.u64("the index")?, cursor.u64("the index")?);
-        if each == 0 || each > LARGEST || last > each {
-            let what =
-                format!("invalid chunk sizes: {each} bytes, and {last} bytes for the last chunk");
+        let (chunk_size, last_chunk_size) = (cursor.u64("the index")?, cursor.u64("the index")?);
+        if chunk_size == 0 || chunk_size > LARGEST || last_chunk_size > chunk_size {
+            let what = format!(
+                "invalid chunk sizes: {chunk_size} bytes, and {last_chunk_size} bytes for the last \
+                 chunk"
+            );
             return Err(malformed(at, what));
         }
-        Ok(Self { view, bounds, each, last })
+        Ok(Self { view, bounds, chunk_size, last_chunk_size })
     }
 
     /// Total unpacked size, in bytes, of a range of chunks.
     fn length(&self, chunks: std::ops::Range<usize>) -> u64 {
         let has_last = chunks.end == self.bounds.len() - 1;
         let full = chunks.len() as u64 - u64::from(has_last);
-        full * self.each + if has_last { self.last } else { 0 }
+        full * self.chunk_size + if has_last { self.last_chunk_size } else { 0 }
     }
 
     fn total(&self) -> u64 {
@@ -142,7 +144,7 @@ impl<'a> Chunks<'a> {
 
     /// Unpacks the chunks from number `first` on, until `out` is full.
     fn unpack(&self, first: usize, out: &mut [u8], unpacking: Unpacking) -> Result<(), ReadFault> {
-        let pieces = out.par_chunks_mut(self.each as usize).zip(&self.bounds[first..]);
+        let pieces = out.par_chunks_mut(self.chunk_size as usize).zip(&self.bounds[first..]);
         let pieces = pieces.zip(&self.bounds[first + 1..]);
         let results = pieces.map(|((piece, &start), &end)| {
             unpacking.check_cancelled()?;
@@ -167,14 +169,14 @@ impl<'a> Chunks<'a> {
 pub struct ContainerWriter<'a> {
     out: &'a mut dyn Write,
     /// Bytes that have not been compressed yet.
-    waiting: Vec<u8>,
-    /// Number of waiting bytes that are compressed together.
+    uncompressed: Vec<u8>,
+    /// Number of bytes that are compressed together.
     batch_bytes: usize,
     /// Total size, in bytes, of the chunks written so far.
     written: u64,
     /// Byte offset of each chunk, relative to the first chunk.
     starts: Vec<u64>,
-    last: usize,
+    last_chunk_size: usize,
 }
 
 impl<'a> ContainerWriter<'a> {
@@ -186,20 +188,28 @@ impl<'a> ContainerWriter<'a> {
         out.write_all(MAGIC)?;
         out.write_all(&0_u64.to_be_bytes())?;
         let batch_bytes = 2 * rayon::current_num_threads() * CHUNK;
-        Ok(Self { out, waiting: Vec::new(), batch_bytes, written: 0, starts: Vec::new(), last: 0 })
+        Ok(Self {
+            out,
+            uncompressed: Vec::new(),
+            batch_bytes,
+            written: 0,
+            starts: Vec::new(),
+            last_chunk_size: 0,
+        })
     }
 
     fn pack(&mut self) -> io::Result<()> {
-        let chunks: Vec<Vec<u8>> = self.waiting.par_chunks(CHUNK).map(blosc::pack).collect();
+        let chunks: Vec<Vec<u8>> = self.uncompressed.par_chunks(CHUNK).map(blosc::pack).collect();
         for chunk in &chunks {
             self.starts.push(self.written);
             self.out.write_all(chunk)?;
             self.written += chunk.len() as u64;
         }
-        if !self.waiting.is_empty() {
-            self.last = self.waiting.len() - (self.waiting.len() - 1) / CHUNK * CHUNK;
+        if !self.uncompressed.is_empty() {
+            self.last_chunk_size =
+                self.uncompressed.len() - (self.uncompressed.len() - 1) / CHUNK * CHUNK;
         }
-        self.waiting.clear();
+        self.uncompressed.clear();
         Ok(())
     }
 
@@ -210,8 +220,10 @@ impl<'a> ContainerWriter<'a> {
     pub fn finish(mut self) -> io::Result<()> {
         self.pack()?;
         let starts = self.starts.iter().skip(1).copied();
-        let index: Vec<u8> =
-            starts.chain([CHUNK as u64, self.last as u64]).flat_map(u64::to_be_bytes).collect();
+        let index: Vec<u8> = starts
+            .chain([CHUNK as u64, self.last_chunk_size as u64])
+            .flat_map(u64::to_be_bytes)
+            .collect();
         self.out.write_all(&index)?;
         self.out.write_all(&(index.len() as u64).to_be_bytes())?;
         self.out.write_all(END)
@@ -220,9 +232,9 @@ impl<'a> ContainerWriter<'a> {
 
 impl Write for ContainerWriter<'_> {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        let taken = buffer.len().min(self.batch_bytes - self.waiting.len());
-        self.waiting.extend_from_slice(&buffer[..taken]);
-        if self.waiting.len() == self.batch_bytes {
+        let taken = buffer.len().min(self.batch_bytes - self.uncompressed.len());
+        self.uncompressed.extend_from_slice(&buffer[..taken]);
+        if self.uncompressed.len() == self.batch_bytes {
             self.pack()?;
         }
         Ok(taken)

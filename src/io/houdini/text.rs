@@ -9,7 +9,7 @@ use crate::io::number::ParseNumber;
 use super::json::{Json, JsonEvent, Nesting};
 
 /// Number of bytes that are read before their memory is released.
-const PASSED: usize = 1 << 20;
+const RELEASE_STEP: usize = 1 << 20;
 
 /// A document in the text form.
 pub struct Text<'a> {
@@ -38,7 +38,7 @@ impl<'a> Text<'a> {
     fn skip_blanks(&mut self) {
         let is_blank = |byte: &&u8| byte.is_ascii_whitespace() || matches!(byte, b',' | b':');
         self.at += self.rest().iter().take_while(is_blank).count();
-        if self.at - self.unreleased >= PASSED {
+        if self.at - self.unreleased >= RELEASE_STEP {
             self.store.release(self.unreleased..self.at);
             self.unreleased = self.at;
         }

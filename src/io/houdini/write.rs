@@ -8,7 +8,7 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_floats, write_triangles, write_vertices};
-use crate::io::up::note;
+use crate::io::up::up_comment;
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
 
@@ -35,7 +35,7 @@ enum ValueSource {
     Attribute(usize),
     /// A range of components of the colour attribute with this index. The values are converted to
     /// numbers from 0 to 1.
-    Shares(usize, [usize; 2]),
+    ColourFractions(usize, [usize; 2]),
 }
 
 /// A number type.
@@ -87,7 +87,7 @@ fn write_document(
     head.text("primitivecount").whole(triangles);
     head.text("info").byte(b'{').text("software");
     head.text(concat!("meniscus ", env!("CARGO_PKG_VERSION")));
-    if let Some(note) = note(mesh) {
+    if let Some(note) = up_comment(mesh) {
         head.text("comment").text(note);
     }
     head.byte(b'}');
@@ -177,9 +177,9 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
     let colour = colour_attribute(&attributes);
     for (index, (info, name)) in attributes.iter().zip(&names).enumerate() {
         if colour == Some(index) {
-            all.push(array("Cd", 3, "color", ValueSource::Shares(index, [0, 3])));
+            all.push(array("Cd", 3, "color", ValueSource::ColourFractions(index, [0, 3])));
             if info.components == 4 {
-                all.push(array("Alpha", 1, "", ValueSource::Shares(index, [3, 4])));
+                all.push(array("Alpha", 1, "", ValueSource::ColourFractions(index, [3, 4])));
             }
             continue;
         }
@@ -193,7 +193,7 @@ fn arrays(mesh: &dyn MeshSource, width: CoordinateWidth) -> Vec<PointArray> {
             _ => Type::F32,
         };
         let numbers = match info.kind.is_colour() {
-            true => ValueSource::Shares(index, [0, info.components]),
+            true => ValueSource::ColourFractions(index, [0, info.components]),
             false => ValueSource::Attribute(index),
         };
         all.push(PointArray { storage, ..array(name, info.components, meaning, numbers) });
@@ -241,7 +241,7 @@ impl PointArray {
                     _ => write_floats(out, mesh, |vertices| &vertices.attributes[index])?,
                 }
             }
-            ValueSource::Shares(index, [first, end]) => {
+            ValueSource::ColourFractions(index, [first, end]) => {
                 let info = &mesh.attributes()[index];
                 write_vertices(out, mesh, |vertices, out| {
                     for colour in vertices.attributes[index].chunks(info.components) {

@@ -27,9 +27,9 @@ use super::{
 };
 
 /// Number of bytes that are read from the map before its memory is released.
-const RELEASED: u64 = 4 << 20;
+const RELEASE_STEP: u64 = 4 << 20;
 /// Number of bytes that the system maps around an accessed byte.
-const AROUND: u64 = 64 << 10;
+const FAULT_AROUND_BYTES: u64 = 64 << 10;
 /// The valid densities for particles of several sizes. A density is the particles' volume per unit
 /// volume.
 const DENSITIES: RangeInclusive<f64> = 0.01..=100.0;
@@ -100,8 +100,8 @@ pub fn frame_from_file(file: &File, cache_bytes: u64) -> Result<SampledDif, Read
     Ok(SampledDif::new(facts, indicator, field))
 }
 
-/// A memory map of a file. The map's memory is released whenever more than [`RELEASED`] bytes have
-/// been accessed since the last release.
+/// A memory map of a file. The map's memory is released whenever more than [`RELEASE_STEP`] bytes
+/// have been accessed since the last release.
 #[derive(Debug)]
 struct MapWindow {
     bytes: PrivateBytes,
@@ -109,10 +109,10 @@ struct MapWindow {
 }
 
 impl MapWindow {
-    /// Counts accessed bytes, and releases the map's memory after more than [`RELEASED`] bytes.
+    /// Counts accessed bytes, and releases the map's memory after more than [`RELEASE_STEP`] bytes.
     /// Must be called after every access.
     fn count_access(&self, bytes: u64) {
-        if self.accessed_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASED {
+        if self.accessed_bytes.fetch_add(bytes, Ordering::Relaxed) + bytes > RELEASE_STEP {
             self.accessed_bytes.store(0, Ordering::Relaxed);
             self.bytes.release(0..self.bytes.len());
         }
@@ -215,7 +215,7 @@ impl PageSource for FieldPages {
     fn samples(&self, page: usize) -> Vec<u16> {
         let (all, page) = (&*self.all, self.first + page);
         let samples = all.decompress(page).expect("the file does not change after it is opened");
-        all.window.count_access(all.compressed(page).len() as u64 + AROUND);
+        all.window.count_access(all.compressed(page).len() as u64 + FAULT_AROUND_BYTES);
         samples
     }
 }
@@ -303,8 +303,8 @@ fn read_index(bytes: PrivateBytes) -> Result<Index, ReadFault> {
     // A cell in the corner of a periodic box has seven images, so it can occur eight times.
     let places = if facts.periodic.is_some() { 8 } else { 1 };
     // If the particles have several sizes, each particle is in two fields.
-    let fields_a_particle = u64::from(field_count.min(2));
-    let most = places * fields_a_particle * shape.cells_per_particle() as u64;
+    let fields_per_particle = u64::from(field_count.min(2));
+    let most = places * fields_per_particle * shape.cells_per_particle() as u64;
     if full_cells > most.saturating_mul(facts.census.binned as u64) {
         return Err(malformed(
             footer,

@@ -31,8 +31,9 @@ const HEAD: usize = 1 << 16;
 /// [`ReadFault::Mesh`] if a face has an area, and the errors of [`read_points`].
 pub fn read_particles(bytes: Bytes, unpacking: Unpacking) -> Result<ParticleFile, ReadFault> {
     let header = PlyHeader::parse(bytes.view())?;
-    let is_of_mesh = |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
-    let counts = header.elements.iter().filter(is_of_mesh).map(|element| element.count as u64);
+    let is_face_element =
+        |element: &&Element| ["face", "tristrips"].contains(&element.name.as_str());
+    let counts = header.elements.iter().filter(is_face_element).map(|element| element.count as u64);
     let announced = counts.fold(0, u64::saturating_add);
     if announced == 0 {
         return points(bytes, &header, unpacking);

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::encode::{put_position, write_triangles, write_vertices};
-use crate::io::up::noted;
+use crate::io::up::delimited_up_comment;
 use crate::particles::kind::COMPONENT_NAMES;
 use crate::particles::{AttributeInfo, AttributeKind, colour_attribute};
 use crate::surface::mesh::source::MeshSource;
@@ -89,7 +89,7 @@ fn header(mesh: &dyn MeshSource, width: CoordinateWidth) -> String {
     format!(
         "ply\nformat binary_little_endian 1.0\n{}element vertex {}\n{lines}element face {}\n\
          property list uchar {index} vertex_indices\nend_header\n",
-        noted(mesh, ["comment ", "\n"]),
+        delimited_up_comment(mesh, ["comment ", "\n"]),
         mesh.vertex_count(),
         mesh.triangle_count(),
     )

@@ -41,8 +41,15 @@ const MOST_LABELS: usize = 4;
 type Notation = fn(&str) -> Vec<String>;
 
 /// All notations, in order of preference.
-const NOTATIONS: [Notation; 7] =
-    [in_angle_brackets, numbered, separated, between_blanks, with_units, far_apart, numbered_after];
+const NOTATIONS: [Notation; 7] = [
+    in_angle_brackets,
+    numbered,
+    separated,
+    between_blanks,
+    with_units,
+    separated_by_wide_gaps,
+    numbered_after,
+];
 
 /// Last words of labels that precede the names of columns, as in `# columns: x y z`.
 const LABELS: [&str; 8] =
@@ -333,7 +340,7 @@ fn with_units(line: &str) -> Vec<String> {
 }
 
 /// The names in a line with a tab or at least two blanks between names. OpenSPH writes these lines.
-fn far_apart(line: &str) -> Vec<String> {
+fn separated_by_wide_gaps(line: &str) -> Vec<String> {
     if line.contains([',', ';']) {
         return Vec::new();
     }
@@ -566,15 +573,15 @@ fn is_unclear(comment: &str, fields: usize, first: Option<usize>) -> bool {
     };
     texts().any(|text| {
         vectors_in(text).iter().any(|(names, _)| is_fitting(names))
-            || names_others_first(text, fields, first)
-            || gives_x_another_name(text, fields, first)
+            || lists_other_columns_first(text, fields, first)
+            || names_x_column_differently(text, fields, first)
     })
 }
 
 /// Whether a text is a list of names that gives x the name of another quantity. The names must not
 /// include a position. Either the column of x has the name of another quantity, or at least three
 /// names of other quantities precede the components of an unknown vector.
-fn gives_x_another_name(text: &str, fields: usize, first: Option<usize>) -> bool {
+fn names_x_column_differently(text: &str, fields: usize, first: Option<usize>) -> bool {
     names_in(text).filter(|names| are_names(names)).any(|names| {
         let names = bare_names(&names);
         let unique: HashSet<&String> = names.iter().collect();
@@ -611,7 +618,7 @@ fn gives_x_another_name(text: &str, fields: usize, first: Option<usize>) -> bool
 ///
 /// The last two cases do not apply if all names are vectors. The name of a vector counts as three
 /// columns or as one.
-fn names_others_first(text: &str, fields: usize, first: Option<usize>) -> bool {
+fn lists_other_columns_first(text: &str, fields: usize, first: Option<usize>) -> bool {
     let words = words_of(text);
     let are_axes = words.iter().filter(|word| axis_of(word).is_some()).count() > 1;
     // Units may follow names, as in `velocity in m/s`.

@@ -97,9 +97,9 @@ impl UnnamedColumns {
         }
         let sample = Sample::of(rows, self);
         match sample.leading_columns() {
-            Leading::Position => Ok(self.first),
-            Leading::RowNumber => Ok(self.first + 1),
-            Leading::Unclear(columns) => Err(sample.describe(&columns, self)),
+            LeadingColumns::Position => Ok(self.first),
+            LeadingColumns::RowNumber => Ok(self.first + 1),
+            LeadingColumns::Unclear(columns) => Err(sample.describe(&columns, self)),
         }
     }
 
@@ -165,7 +165,7 @@ pub fn is_whole(field: &[u8]) -> bool {
 
 /// The meaning of the columns at the start of a row.
 #[derive(Debug, PartialEq, Eq)]
-enum Leading {
+enum LeadingColumns {
     Position,
     /// A row number or an identifier, followed by the position.
     RowNumber,
@@ -292,11 +292,15 @@ impl Sample {
     /// A single identifier before three columns of real numbers is skipped. In all other cases,
     /// the number of columns before the position is unknown. Two constant columns are x and y if
     /// the next column grows from row to row, as z does in a lattice.
-    fn leading_columns(&self) -> Leading {
+    fn leading_columns(&self) -> LeadingColumns {
         if self.starts_with_row_numbers() {
             // The second column can be a type with a sign.
             let [x, y, z] = [1, 2, 3].map(|column| self.columns[column].is_integer());
-            return if x && !(y && z) { Leading::Unclear(vec![0, 1]) } else { Leading::RowNumber };
+            return if x && !(y && z) {
+                LeadingColumns::Unclear(vec![0, 1])
+            } else {
+                LeadingColumns::RowNumber
+            };
         }
         let whole = (0..self.columns.len()).take_while(|&column| !self.is_real(0, column)).count();
         let are_followed = (whole..whole + 3).all(|column| self.is_real(0, column));
@@ -305,12 +309,12 @@ impl Sample {
             whole == 2 && are_constant && self.columns[2].grows()
         };
         if whole >= 2 && are_followed && !self.starts_with_lattice(whole.min(3)) && !is_line() {
-            return Leading::Unclear((0..whole).collect());
+            return LeadingColumns::Unclear((0..whole).collect());
         }
         let identifier = (0..3).find(|&column| self.is_identifier_instead_of_coordinate(column));
         let is_type = whole == 1 && self.starts_with_type() || self.starts_with_constant();
         let unclear = identifier.or(is_type.then_some(0));
-        unclear.map_or(Leading::Position, |column| Leading::Unclear(vec![column]))
+        unclear.map_or(LeadingColumns::Position, |column| LeadingColumns::Unclear(vec![column]))
     }
 
     /// Whether the first column numbers the rows or identifies particles, and real numbers follow
@@ -408,7 +412,7 @@ impl Sample {
 
     /// Whether a column is sorted and has many equal numbers, like the coordinate of a lattice that
     /// changes most slowly.
-    fn is_in_steps(&self, column: usize) -> bool {
+    fn is_slowest_lattice_axis(&self, column: usize) -> bool {
         let column = &self.columns[column];
         let falls = || column.values.is_sorted_by(|one, next| one >= next);
         (column.values.is_sorted() || falls()) && self.is_small(column.distinct())
@@ -430,7 +434,7 @@ impl Sample {
             self.is_small(self.distinct(0..3)) && !self.is_small(self.distinct(1..4));
         let is_plane = || {
             numeric == POSITION_AND_VECTOR
-                || (1..3).any(|column| self.is_in_steps(column))
+                || (1..3).any(|column| self.is_slowest_lattice_axis(column))
                 || !self.columns[3].varies()
         };
         would_coincide || !is_plane()

@@ -180,7 +180,7 @@ impl UsdArray<'_> {
             UsdValues::Attribute(index, ref components) => {
                 write_components(out, mesh, index, components, |_, number| number)
             }
-            UsdValues::Shares(index, ref components) => {
+            UsdValues::ColourFractions(index, ref components) => {
                 write_components(out, mesh, index, components, AttributeKind::share)
             }
         }

@@ -42,7 +42,7 @@ enum UsdValues {
     /// A range of components of the attribute with this index.
     Attribute(usize, Range<usize>),
     /// A range of components of the colour attribute with this index, as numbers from 0 to 1.
-    Shares(usize, Range<usize>),
+    ColourFractions(usize, Range<usize>),
 }
 
 /// The properties of a mesh with `attributes`, in the order in which a layer stores them.
@@ -72,9 +72,13 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
     for (index, attribute) in attributes.iter().enumerate() {
         let AttributeInfo { name, components, kind } = attribute;
         if colour == Some(index) {
-            all.push(vertex("primvars:displayColor", "color3f[]", UsdValues::Shares(index, 0..3)));
+            all.push(vertex(
+                "primvars:displayColor",
+                "color3f[]",
+                UsdValues::ColourFractions(index, 0..3),
+            ));
             if *components == 4 {
-                let alpha = UsdValues::Shares(index, 3..4);
+                let alpha = UsdValues::ColourFractions(index, 3..4);
                 all.push(vertex("primvars:displayOpacity", "float[]", alpha));
             }
             continue;
@@ -97,8 +101,12 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
             _ => "float[]",
         };
         match components {
-            4 if kind.is_colour() => add(name, "color4f[]", UsdValues::Shares(index, 0..4)),
-            3 if kind.is_colour() => add(name, "color3f[]", UsdValues::Shares(index, 0..3)),
+            4 if kind.is_colour() => {
+                add(name, "color4f[]", UsdValues::ColourFractions(index, 0..4))
+            }
+            3 if kind.is_colour() => {
+                add(name, "color3f[]", UsdValues::ColourFractions(index, 0..3))
+            }
             3 if !kind.is_whole() => add(name, "float3[]", whole),
             2 if !kind.is_whole() => add(name, "float2[]", whole),
             1 => add(name, number, whole),
@@ -118,7 +126,9 @@ fn properties(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<UsdPropert
 pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 2]> {
     let colour = colour_attribute(attributes);
     let differs = |UsdProperty { name, values, .. }: UsdProperty| {
-        let (UsdValues::Attribute(index, range) | UsdValues::Shares(index, range)) = values else {
+        let (UsdValues::Attribute(index, range) | UsdValues::ColourFractions(index, range)) =
+            values
+        else {
             return None;
         };
         let stored = name.strip_prefix(PRIMVARS).filter(|_| colour != Some(index))?;
@@ -134,7 +144,7 @@ pub fn renamed(has_normals: bool, attributes: &[AttributeInfo]) -> Vec<[String; 
 
 /// Number of passes that the writer makes over a mesh: one pass over the triangles, and all others
 /// over the vertices.
-pub fn readings(has_normals: bool, attributes: &[AttributeInfo]) -> usize {
+pub fn pass_count(has_normals: bool, attributes: &[AttributeInfo]) -> usize {
     // `properties` also lists the numbers of corners and the extent, which need no pass.
     properties(has_normals, attributes).len() - 2
 }

@@ -45,7 +45,7 @@ use super::names::unique_names;
 use archive::{CONTRAVARIANT_RELATIVE, GridHead, INVARIANT, header};
 pub use read::{GridInfo, read_grids};
 use tree::{TreeLeaf, sort_key, topology};
-use values::{Kind, put_sides, put_zipped, sides_bytes};
+use values::{Kind, inactive_record_bytes, put_inactive_record, put_zipped};
 
 /// The name of the grid with the distances.
 const SURFACE: &str = "surface";
@@ -375,7 +375,7 @@ impl GridWriter<'_> {
             for leaf in &leaves[numbers] {
                 let TreeLeaf { active, inside, .. } = &leaf.tree;
                 out.extend(active.iter().flat_map(|word| word.to_le_bytes()));
-                put_sides(out, kind, leaf.tree.sides(), &inside.map(|word| !word));
+                put_inactive_record(out, kind, leaf.tree.sides(), &inside.map(|word| !word));
                 if zip {
                     values.clear();
                     put(leaf, &mut values)?;
@@ -400,7 +400,8 @@ impl GridWriter<'_> {
             Some(chunks) => chunks.iter().map(|bytes| bytes.len() as u64).sum(),
             None => {
                 let mask = VOXELS as u64 / 8;
-                let sides = |leaf: &StoredLeaf| sides_bytes(kind, leaf.tree.sides(), mask);
+                let sides =
+                    |leaf: &StoredLeaf| inactive_record_bytes(kind, leaf.tree.sides(), mask);
                 let masks = leaves.iter().map(|leaf| mask + sides(leaf)).sum::<u64>();
                 masks + voxels * kind.bytes() as u64
             }

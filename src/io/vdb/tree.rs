@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use crate::surface::level_set::{LEAF, VOXELS, place_in_leaf};
 use crate::system::bits::ones;
 
-use super::values::{Kind, put_sides};
+use super::values::{Kind, put_inactive_record};
 
 /// Binary logarithms of the number of children along an edge of an inner node, lowest level first.
 const LOG2: [u32; 2] = [4, 5];
@@ -170,7 +170,7 @@ fn node(
     bytes.extend(child_mask.iter().flat_map(|word| word.to_le_bytes()));
     // No tile is active, so the mask of active tiles is empty.
     bytes.resize(bytes.len() + slots / 8, 0);
-    put_sides(&mut bytes, kind, [tiles_inside, tiles], &outside);
+    put_inactive_record(&mut bytes, kind, [tiles_inside, tiles], &outside);
     kind.put_no_values(&mut bytes, zip);
     children.iter().for_each(|child| bytes.extend(&child.bytes));
     let first = child_at[0].map_or(last[0], |child| child.inside[0]);

@@ -113,7 +113,12 @@ impl Kind {
 /// `all` is the number of inactive values, and `inside` is the number of those that are inside. The
 /// mask `outside` has a set bit for each value outside, and is appended if there are values on both
 /// sides.
-pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outside: &[u64]) {
+pub fn put_inactive_record(
+    out: &mut Vec<u8>,
+    kind: Kind,
+    [inside, all]: [usize; 2],
+    outside: &[u64],
+) {
     match inside {
         _ if !kind.has_sides() => out.push(OUTSIDE),
         0 => out.push(OUTSIDE),
@@ -125,8 +130,8 @@ pub fn put_sides(out: &mut Vec<u8>, kind: Kind, [inside, all]: [usize; 2], outsi
     }
 }
 
-/// The number of bytes that [`put_sides`] appends if its mask has `mask` bytes.
-pub fn sides_bytes(kind: Kind, [inside, all]: [usize; 2], mask: u64) -> u64 {
+/// The number of bytes that [`put_inactive_record`] appends if its mask has `mask` bytes.
+pub fn inactive_record_bytes(kind: Kind, [inside, all]: [usize; 2], mask: u64) -> u64 {
     if kind.has_sides() && inside > 0 && inside < all { 1 + mask } else { 1 }
 }
 

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use crate::io::CoordinateWidth;
 use crate::io::encode::{write_attribute, write_triangles, write_vertices};
 use crate::io::names::unique_names;
-use crate::io::up::note;
+use crate::io::up::up_comment;
 use crate::particles::{AttributeInfo, AttributeKind};
 use crate::surface::mesh::source::{MeshSource, Vertices};
 
@@ -75,7 +75,7 @@ fn write_points(
         CoordinateWidth::F32 => "float",
         CoordinateWidth::F64 => "double",
     };
-    let title = note(mesh).unwrap_or("meniscus surface");
+    let title = up_comment(mesh).unwrap_or("meniscus surface");
     writeln!(out, "# vtk DataFile Version 3.0\n{title}\nBINARY\nDATASET POLYDATA")?;
     writeln!(out, "POINTS {} {scalar}", mesh.vertex_count())?;
     write_vertices(out, mesh, |vertices, out| {

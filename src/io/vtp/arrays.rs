@@ -104,7 +104,7 @@ pub(in crate::io) fn points(mesh: &dyn MeshSource, width: CoordinateWidth) -> Ar
 /// The array of the triangles' corners, and the array with the end of each triangle's corners.
 pub(in crate::io) fn polygons(mesh: &dyn MeshSource) -> [Array<'static>; 2] {
     let triangles = mesh.triangle_count();
-    let width = IndexWidth::that_holds(mesh.vertex_count().max(3 * triangles));
+    let width = IndexWidth::for_max_index(mesh.vertex_count().max(3 * triangles));
     let array = |name: &str, length, numbers| Array {
         name: name.to_owned(),
         components: 1,
@@ -180,7 +180,7 @@ impl Array<'_> {
 }
 
 impl IndexWidth {
-    fn that_holds(greatest: u64) -> Self {
+    fn for_max_index(greatest: u64) -> Self {
         if i32::try_from(greatest).is_ok() { Self::I32 } else { Self::I64 }
     }
 
@@ -201,7 +201,7 @@ mod tests {
         for (greatest, width, bytes) in
             [(0x7fff_ffff, IndexWidth::I32, 4), (0x8000_0000, IndexWidth::I64, 8)]
         {
-            assert_eq!(IndexWidth::that_holds(greatest), width);
+            assert_eq!(IndexWidth::for_max_index(greatest), width);
             let mut out = Vec::new();
             width.put(&mut out, greatest);
             assert_eq!(out, u64::to_le_bytes(greatest)[..bytes]);

@@ -31,7 +31,7 @@ use super::layout::{Compressor, DataLocation, VtpArray, VtpLayout, VtpPiece};
 /// Number of bytes per decoding step.
 const CHUNK: usize = 1 << 16;
 /// Number of bytes that are read before their memory is released.
-const PASSED: usize = 1 << 20;
+const RELEASE_STEP: usize = 1 << 20;
 /// Maximum unpacked size, in bytes, of an LZ4 block. The size is limited because a block is
 /// unpacked into memory as a whole.
 const MOST_LZ4: u64 = 64 << 20;
@@ -621,7 +621,7 @@ impl<'a> RemainingText<'a> {
 
     fn advance(&mut self, count: usize) {
         self.at += count;
-        if self.at - self.unreleased >= PASSED {
+        if self.at - self.unreleased >= RELEASE_STEP {
             self.bytes.release(self.unreleased..self.at);
             self.unreleased = self.at;
         }

@@ -10,7 +10,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::io::CoordinateWidth;
-use crate::io::up::noted;
+use crate::io::up::delimited_up_comment;
 use crate::surface::mesh::source::MeshSource;
 use crate::surface::mesh::{Mesh, VertexAttribute};
 
@@ -80,7 +80,7 @@ impl<'a> Divided<'a> {
              <PPoints>\n{}</PPoints>\n\
              {}</PPolyData>\n\
              </VTKFile>\n",
-            noted(self.mesh, COMMENT),
+            delimited_up_comment(self.mesh, COMMENT),
             roles(&arrays),
             arrays.iter().map(array).collect::<String>(),
             array(&points(self.mesh, self.width)),

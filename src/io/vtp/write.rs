@@ -4,7 +4,7 @@ use std::io::{self, Write};
 
 use crate::io::CoordinateWidth;
 use crate::io::columns::Scalar;
-use crate::io::up::noted;
+use crate::io::up::delimited_up_comment;
 use crate::surface::mesh::source::MeshSource;
 
 use super::arrays::{Array, identifiers, point_data, points, polygons};
@@ -62,7 +62,7 @@ pub(super) fn write_piece(
          </Piece>\n\
          </PolyData>\n\
          <AppendedData encoding=\"raw\">\n_",
-        noted(mesh, COMMENT),
+        delimited_up_comment(mesh, COMMENT),
         mesh.vertex_count(),
         mesh.triangle_count(),
         point_data.iter().map(&mut element).collect::<String>(),

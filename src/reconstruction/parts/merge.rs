@@ -9,7 +9,7 @@ use crate::reconstruction::checked::{CheckedRequest, StartedRequest};
 use crate::reconstruction::extract::{ExtractedSurface, Findings};
 use crate::reconstruction::report::Report;
 use crate::reconstruction::surface::Surface;
-use crate::reconstruction::warning::of_particles;
+use crate::reconstruction::warning::particle_warnings;
 use crate::surface::dual_mc::Normals;
 use crate::surface::mesh::spool::Spool;
 use crate::surface::stitch::StitchedSurface;
@@ -25,7 +25,7 @@ use super::{Parts, PartsRequest, part_in};
 struct MergedParts {
     spool: Spool,
     occupied: OccupiedTiles,
-    lacking: Vec<u64>,
+    without_value: Vec<u64>,
     bins: u64,
 }
 
@@ -86,17 +86,17 @@ fn joined(
         );
     }
     let (mut occupied, mut bins) = (OccupiedTiles::default(), 0);
-    let mut lacking = vec![0; components.len()];
+    let mut without_value = vec![0; components.len()];
     let meshes = files.into_iter().map(|file| {
         occupied.join(file.occupied);
         bins += file.bins;
-        lacking.iter_mut().zip(file.lacking).for_each(|(all, more)| *all += more);
+        without_value.iter_mut().zip(file.lacking).for_each(|(all, more)| *all += more);
         file.meshes
     });
     let meshes = meshes.collect();
     let normals = checked.surfacing.normals == Normals::Gradient;
     let spool = Spool::in_files(normals, components, meshes, &checked.resources.scratch);
-    Ok(MergedParts { spool, occupied, lacking, bins })
+    Ok(MergedParts { spool, occupied, without_value, bins })
 }
 
 /// Makes the surface from the meshes, with the same steps as a single run.
@@ -110,7 +110,7 @@ fn extracted(
 ) -> Result<ExtractedSurface, Error> {
     let FrameFacts { grid, census, spacing, .. } = report.facts;
     let walls = report.facts.mesh_walls(checked.surfacing.periodic_mesh);
-    let MergedParts { spool, occupied, lacking, bins } = joined;
+    let MergedParts { spool, occupied, without_value, bins } = joined;
     let iso = plan.calibration.and_then(|known| known.iso());
     if spool.is_empty() {
         let at_solids = checked.surfacing.at_solids;
@@ -126,10 +126,16 @@ fn extracted(
         |fault| Error::from(FrameError::Scratch { folder: resources.scratch.clone(), fault });
 
     let crowding = report.facts.spacing_cells().map(|spacing| occupied.relative_density(spacing));
-    let lacking = plan.attributes.iter().zip(lacking).filter(|&(_, without)| without > 0);
-    let lacking = lacking.map(|(info, without)| (info.name.as_str(), without as usize));
-    report.warnings =
-        of_particles(&report.facts, crowding, plan.coincident, lacking, plan.mean_symmetry);
+    let without_value =
+        plan.attributes.iter().zip(without_value).filter(|&(_, without)| without > 0);
+    let without_value = without_value.map(|(info, without)| (info.name.as_str(), without as usize));
+    report.warnings = particle_warnings(
+        &report.facts,
+        crowding,
+        plan.coincident,
+        without_value,
+        plan.mean_symmetry,
+    );
     let lost = occupied.lost(&surface).map_err(in_scratch)?;
     drop(occupied);
     let own = report.facts.own_cells();

@@ -123,7 +123,7 @@ impl Sides {
     pub fn find(&mut self, squared: &[f32], nearest: &[u32], near: &NearTriangles) {
         for column in 0..EDGE * EDGE {
             self.is_known[column] = self.is_crossed(column);
-            self.inside[column] = self.crossed(column, 0);
+            self.inside[column] = self.sides_of_crossed_column(column, 0);
         }
         self.spread_sides(squared);
         for column in 0..EDGE * EDGE {
@@ -155,7 +155,7 @@ impl Sides {
 
     /// The sides of a column's voxels if the least winding number in the column is `least`. A voxel
     /// is inside if its winding number is positive.
-    fn crossed(&self, column: usize, least: i32) -> u64 {
+    fn sides_of_crossed_column(&self, column: usize, least: i32) -> u64 {
         let steps = self.steps(column);
         let change = |z: usize| {
             let bit = |i: usize| (self.entries[i][column] >> z & 1) as i32;
@@ -300,7 +300,7 @@ impl Sides {
     /// voxels get the sides of the candidate that agrees with the vote at the most deep voxels.
     fn apply_vote(&mut self, column: usize, voted: u64, deep: u64) {
         let candidates = if self.is_crossed(column) {
-            [0, -1, 1].map(|least| self.crossed(column, least))
+            [0, -1, 1].map(|least| self.sides_of_crossed_column(column, least))
         } else {
             [self.inside[column], 0, u64::MAX]
         };

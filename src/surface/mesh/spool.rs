@@ -93,7 +93,7 @@ pub fn vertex_bytes(normals: bool, components: &[usize]) -> u64 {
 }
 
 /// Estimated size, in bytes, of a surface's tiles, divided by its number of vertices.
-pub const TILE_SHARE: u64 = 4;
+pub const TILE_BYTES_PER_VERTEX: u64 = 4;
 
 /// Size, in bytes, of the surfaces of `blocks` blocks that have `vertices` vertices in total and
 /// contain the surface in every tile. Each vertex takes `vertex_bytes` bytes without its tile.

@@ -129,7 +129,7 @@ fn draw_small(
             let mut drawn = 0;
             for n in ones(may_contain[view]) {
                 let corners = of(&triangles[n], batch, corners, view);
-                let [one, inside] = raster.contains_one_sample(corners);
+                let [one, inside] = raster.single_sample_in_box(corners);
                 drawn |= u64::from(!one | inside) << n;
             }
             for n in ones(drawn) {

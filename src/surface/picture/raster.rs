@@ -137,7 +137,7 @@ impl Raster {
     /// For a triangle whose bounding box contains a sample: whether the box contains only one
     /// sample, and whether that sample is inside the triangle.
     #[inline(always)]
-    pub(super) fn contains_one_sample(&self, corners: [Corner; 3]) -> [bool; 2] {
+    pub(super) fn single_sample_in_box(&self, corners: [Corner; 3]) -> [bool; 2] {
         let [[left, right], [top, bottom]] = self.around(corners);
         let one = (left == right) & (top == bottom) & are_projected(corners);
         let [a, b, c] = corners;

@@ -75,7 +75,7 @@ pub struct Measure<'a> {
 /// For each vertex of `reference` that no triangle of `surface` uses, searches `surface` for a
 /// triangle within the tolerance, and stores it as the vertex's closest triangle. Each search
 /// starts from a triangle at a neighbouring vertex, or from that vertex's closest triangle.
-pub fn find_closest_triangles(
+pub fn find_near_triangles(
     reference: &EditableMesh,
     surface: &mut EditableMesh,
     normals: &[Vec3A],
@@ -174,10 +174,11 @@ impl Quadric {
 struct CollapseState<'a, 'b> {
     measure: &'b Measure<'a>,
     surface: EditableMesh<'a>,
-    /// For each triangle, a linked list of the removed vertices to which it is closest: `first` has
-    /// the first vertex of each triangle's list, and `next` the vertex after each vertex.
-    first: Vec<u32>,
-    next: Vec<u32>,
+    /// For each triangle, a linked list of the removed vertices to which it is closest:
+    /// `first_removed` has the first vertex of each triangle's list, and `next_removed` the vertex
+    /// after each vertex.
+    first_removed: Vec<u32>,
+    next_removed: Vec<u32>,
     /// For each removed vertex, the normal of its closest triangle if no segment around the vertex
     /// needed a check, and otherwise zero.
     unchecked_normal: Vec<Vec3A>,
@@ -194,9 +195,9 @@ struct CollapseState<'a, 'b> {
     ring: Vec<Incident>,
     order: Vec<(f32, u32)>,
     /// The new triangles of a collapse and their normals.
-    parts: Vec<([Vec3A; 3], Vec3A)>,
+    new_triangles: Vec<([Vec3A; 3], Vec3A)>,
     /// The triangles found so far of the part whose volume is being checked.
-    near: Vec<u32>,
+    part_triangles: Vec<u32>,
     moved: Vec<MovedVertex>,
     /// For each vertex, the value of `mark` when the vertex was last marked. A vertex counts as
     /// marked if this value equals `mark`, so incrementing `mark` removes all marks.
@@ -220,8 +221,8 @@ impl<'a> Measure<'a> {
         let vertices = surface.positions.len();
         let mut work = CollapseState {
             measure: self,
-            first: vec![NONE; surface.triangles.len()],
-            next: vec![NONE; vertices],
+            first_removed: vec![NONE; surface.triangles.len()],
+            next_removed: vec![NONE; vertices],
             unchecked_normal: vec![Vec3A::ZERO; vertices],
             checked_ends: Vec::new(),
             quadrics: vec![Quadric::NONE; vertices],
@@ -230,8 +231,8 @@ impl<'a> Measure<'a> {
             is_changed: vec![false; vertices],
             ring: Vec::new(),
             order: Vec::new(),
-            parts: Vec::new(),
-            near: Vec::new(),
+            new_triangles: Vec::new(),
+            part_triangles: Vec::new(),
             moved: Vec::new(),
             marks: vec![0; vertices],
             mark: 0,
@@ -259,7 +260,7 @@ impl<'a> Measure<'a> {
         let (reference, distance) = (self.reference, self.distance);
         let is_next = |edge: &HalfEdge| edge.to == to || edge.before == to;
         if self.outgoing.at(from).iter().any(is_next)
-            || reference.has_path(from, to, normal, SAMPLE_SHARE * distance)
+            || reference.has_straight_path(from, to, normal, SAMPLE_SHARE * distance)
         {
             return false;
         }
@@ -395,7 +396,7 @@ impl CollapseState<'_, '_> {
         {
             return false;
         }
-        self.surface.collapse(vertex, ring, self.parts.iter().map(|&(_, normal)| normal));
+        self.surface.collapse(vertex, ring, self.new_triangles.iter().map(|&(_, normal)| normal));
         for moved in &self.moved {
             self.surface.set_state(moved.vertex, moved.to);
         }
@@ -407,7 +408,7 @@ impl CollapseState<'_, '_> {
             return false;
         }
         for incident in ring {
-            self.first[incident.triangle as usize] = NONE;
+            self.first_removed[incident.triangle as usize] = NONE;
         }
         for i in 0..self.moved.len() {
             let MovedVertex { vertex, to, unchecked_normal, .. } = self.moved[i];
@@ -425,8 +426,8 @@ impl CollapseState<'_, '_> {
 
     fn set_state(&mut self, vertex: u32, state: VertexState) {
         self.surface.set_state(vertex, state);
-        self.next[vertex as usize] =
-            std::mem::replace(&mut self.first[state.triangle() as usize], vertex);
+        self.next_removed[vertex as usize] =
+            std::mem::replace(&mut self.first_removed[state.triangle() as usize], vertex);
     }
 
     /// Whether no triangle turns over or folds back, and no new triangle is a worse sliver than
@@ -435,7 +436,7 @@ impl CollapseState<'_, '_> {
         let fold = |m: Vec3A, n: Vec3A| m.dot(n) < FOLD_COSINE;
         let (place, mut from) = (self.position(target), self.position(ring[1].rim));
         let mut worst = f32::INFINITY;
-        self.parts.clear();
+        self.new_triangles.clear();
         for (incident, next) in ring[1..].iter().zip(&ring[2..]) {
             let corners = [place, from, self.position(next.rim)];
             let scaled = scaled_normal(corners);
@@ -443,37 +444,38 @@ impl CollapseState<'_, '_> {
             if normal.dot(incident.normal) < LEAST_TURN_COSINE {
                 return false;
             }
-            worst = worst.min(shape(corners, scaled));
-            self.parts.push((corners, normal));
+            worst = worst.min(squared_sine_of_least_angle(corners, scaled));
+            self.new_triangles.push((corners, normal));
             from = corners[2];
         }
         let is_folded = |(incident, &(_, normal)): (&Incident, &(_, Vec3A))| {
             let outer = self.surface.across_from(incident.triangle, incident.rim);
             outer != NONE && fold(normal, self.surface.normal(outer))
         };
-        if ring[1..].iter().zip(&self.parts).any(is_folded)
-            || self.parts.windows(2).any(|parts| fold(parts[0].1, parts[1].1))
+        if ring[1..].iter().zip(&self.new_triangles).any(is_folded)
+            || self.new_triangles.windows(2).any(|pair| fold(pair[0].1, pair[1].1))
         {
             return false;
         }
         let mut shapes = ring.iter().map(|incident| {
             let corners = self.surface.corners(incident.triangle);
-            shape(corners, scaled_normal(corners))
+            squared_sine_of_least_angle(corners, scaled_normal(corners))
         });
-        if self.parts.is_empty() || worst < SLIVER && shapes.all(|shape| shape > worst) {
+        if self.new_triangles.is_empty() || worst < SLIVER && shapes.all(|shape| shape > worst) {
             return false;
         }
         // The outer neighbours of the two triangles that vanish become neighbours of the first and
         // the last new triangle.
         let last = ring[ring.len() - 1];
         let sides = [
-            (ring[0].triangle, target, self.parts.first()),
-            (last.triangle, last.rim, self.parts.last()),
+            (ring[0].triangle, target, self.new_triangles.first()),
+            (last.triangle, last.rim, self.new_triangles.last()),
         ];
-        sides.into_iter().all(|(triangle, from, part)| {
+        sides.into_iter().all(|(triangle, from, new_triangle)| {
             let outer = self.surface.across_from(triangle, from);
             outer == NONE
-                || part.is_some_and(|&(_, normal)| !fold(normal, self.surface.normal(outer)))
+                || new_triangle
+                    .is_some_and(|&(_, normal)| !fold(normal, self.surface.normal(outer)))
         })
     }
 
@@ -517,21 +519,21 @@ impl CollapseState<'_, '_> {
     /// Whether the part that contains a triangle keeps enough of its volume. Only small and closed
     /// parts are checked.
     fn keeps_volume(&mut self, vertex: u32, target: u32, triangle: u32) -> bool {
-        let Self { surface, near, .. } = self;
-        near.clear();
-        near.push(triangle);
+        let Self { surface, part_triangles, .. } = self;
+        part_triangles.clear();
+        part_triangles.push(triangle);
         let mut visited = 0;
-        while let Some(&triangle) = near.get(visited) {
+        while let Some(&triangle) = part_triangles.get(visited) {
             visited += 1;
             for neighbour in surface.neighbours(triangle) {
                 if neighbour == NONE {
                     return true;
                 }
-                if !near.contains(&neighbour) {
-                    near.push(neighbour);
+                if !part_triangles.contains(&neighbour) {
+                    part_triangles.push(neighbour);
                 }
             }
-            if near.len() > MOST_CHECKED_TRIANGLES {
+            if part_triangles.len() > MOST_CHECKED_TRIANGLES {
                 return true;
             }
         }
@@ -545,7 +547,7 @@ impl CollapseState<'_, '_> {
                 );
                 a.dot(cross(b, c))
             };
-            near.iter().map(of).sum()
+            part_triangles.iter().map(of).sum()
         };
         let after = volume(to);
         after > 0.0 && after >= LEAST_VOLUME_SHARE * volume(from)
@@ -559,27 +561,28 @@ impl CollapseState<'_, '_> {
         self.mark += 1;
         let within = (SAMPLE_SHARE * self.measure.distance).powi(2);
         let close = (CLOSE_SHARE * self.measure.distance).powi(2);
-        let last = self.parts.len();
+        let last = self.new_triangles.len();
         let closest = |removed: u32, before: usize| {
             let (place, normal) =
                 (self.surface.positions[removed as usize], self.measure.normals[removed as usize]);
             // Tries the previous closest triangle first, and then the other triangles.
             let mut nearest = None;
             let mut least = within;
-            for part in (before..last).chain(0..before) {
-                let (corners, facing) = &self.parts[part];
+            for index in (before..last).chain(0..before) {
+                let (corners, facing) = &self.new_triangles[index];
                 if facing.dot(normal) < 0.0 {
                     continue;
                 }
                 if let Some((squared, is_above)) = squared_near(place, *corners, *facing, least) {
                     least = squared;
-                    nearest = Some((part, squared <= close));
+                    nearest = Some((index, squared <= close));
                     if is_above {
                         break;
                     }
                 }
             }
-            nearest.map(|(part, is_close)| VertexState::removed(ring[part + 1].triangle, is_close))
+            nearest
+                .map(|(index, is_close)| VertexState::removed(ring[index + 1].triangle, is_close))
         };
         let Some(to) = closest(vertex, 0) else { return false };
         self.moved.push(MovedVertex {
@@ -590,7 +593,7 @@ impl CollapseState<'_, '_> {
         });
         self.marks[vertex as usize] = self.mark;
         for (turn, incident) in ring.iter().enumerate() {
-            let mut removed = self.first[incident.triangle as usize];
+            let mut removed = self.first_removed[incident.triangle as usize];
             while removed != NONE {
                 let Some(to) = closest(removed, turn.clamp(1, last) - 1) else { return false };
                 self.moved.push(MovedVertex {
@@ -600,7 +603,7 @@ impl CollapseState<'_, '_> {
                     unchecked_normal: Vec3A::ZERO,
                 });
                 self.marks[removed as usize] = self.mark;
-                removed = self.next[removed as usize];
+                removed = self.next_removed[removed as usize];
             }
         }
         true
@@ -608,8 +611,8 @@ impl CollapseState<'_, '_> {
 
     /// Whether the new edges are within the tolerance of the reference.
     fn are_edges_near(&self, target: u32, ring: &[Incident]) -> bool {
-        self.parts.windows(2).zip(&ring[2..]).all(|(parts, incident)| {
-            let normal = parts[0].1 + parts[1].1;
+        self.new_triangles.windows(2).zip(&ring[2..]).all(|(pair, incident)| {
+            let normal = pair[0].1 + pair[1].1;
             !self.measure.is_edge_far(target, incident.rim, normal)
         })
     }
@@ -718,7 +721,7 @@ impl CollapseState<'_, '_> {
 
 /// The squared sine of a triangle's smallest angle. `scaled` is the triangle's normal, whose length
 /// is twice the area.
-fn shape([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
+fn squared_sine_of_least_angle([a, b, c]: [Vec3A; 3], scaled: Vec3A) -> f32 {
     let [ab, bc, ca] = [b - a, c - b, a - c].map(Vec3A::length_squared);
     scaled.length_squared() * ab.min(bc).min(ca) / (ab * bc * ca).max(f32::MIN_POSITIVE)
 }
@@ -753,7 +756,7 @@ impl<'a> Patch<'a> {
         } else {
             let own = OutgoingEdges::of(vertices, self.triangles);
             let mut surface = EditableMesh::new(self.positions, self.triangles.to_vec(), &own);
-            find_closest_triangles(&reference, &mut surface, &normals, distance);
+            find_near_triangles(&reference, &mut surface, &normals, distance);
             surface
         };
         let topology = PatchTopology::of(&surface, self.outside);

@@ -278,7 +278,7 @@ impl<'a> EditableMesh<'a> {
     /// Whether a path on the surface joins two vertices that are not adjacent. The path is in the
     /// plane that contains `normal` and the line between the vertices. It stays within `distance`
     /// of this line, and crosses no triangle whose normal opposes `normal`.
-    pub fn has_path(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
+    pub fn has_straight_path(&self, from: u32, to: u32, normal: Vec3A, distance: f32) -> bool {
         let start = self.positions[from as usize];
         let ahead = self.positions[to as usize] - start;
         let (leftward, length) = (cross(normal, ahead), ahead.length_squared());

@@ -25,7 +25,7 @@ pub const EDGE_BITS: u32 = 5;
 /// The number of a missing block.
 pub const NO_BLOCK: u32 = u32::MAX;
 /// Size of a position or a triangle, in bytes.
-const ROW: u64 = 12;
+const ROW_BYTES: u64 = 12;
 /// Maximum number of vertices or triangles per submission.
 const ROWS_AT_ONCE: u64 = 4 << 20;
 
@@ -130,7 +130,7 @@ impl MeshLayout {
         for i in 0..self.blocks.len() {
             let ((tile, row), (next_tile, next_row)) = (begin(i), begin(i + 1));
             match runs.last_mut() {
-                Some(run) if u64::from(next_row - run.rows.start) * ROW <= range => {
+                Some(run) if u64::from(next_row - run.rows.start) * ROW_BYTES <= range => {
                     run.tiles.end = next_tile;
                     run.rows.end = next_row;
                 }
@@ -159,7 +159,11 @@ impl TileRun {
 
     /// A view of the run's part of a buffer, and the number of words in the view before that part.
     fn view(&self, all: &View, alignment: u64) -> (View, u32) {
-        all.aligned(u64::from(self.rows.start) * ROW, self.rows.len() as u64 * ROW, alignment)
+        all.aligned(
+            u64::from(self.rows.start) * ROW_BYTES,
+            self.rows.len() as u64 * ROW_BYTES,
+            alignment,
+        )
     }
 }
 
@@ -233,7 +237,7 @@ pub fn stitch(
     )?;
     let limits = device.limits();
     // A run's view can begin with padding for alignment, which must fit into the binding as well.
-    let range = (limits.storage_range - limits.alignment).min(ROWS_AT_ONCE * ROW);
+    let range = (limits.storage_range - limits.alignment).min(ROWS_AT_ONCE * ROW_BYTES);
     for run in layout.runs(|block| block.first_vertex, layout.vertices, range) {
         let (positions, first_word) = run.view(positions, limits.alignment);
         let push = VerticesPush {
@@ -247,7 +251,7 @@ pub fn stitch(
         batch.dispatch(&pipelines.vertices, &views, &push, run.groups())?;
         batch.submit(after)?;
         batch.begin()?;
-        batch.stage("stitch", 2 * run.rows.len() as u64 * ROW);
+        batch.stage("stitch", 2 * run.rows.len() as u64 * ROW_BYTES);
     }
     for run in layout.runs(|block| block.first_triangle, layout.triangles, range) {
         let (indices, first_word) = run.view(indices, limits.alignment);
@@ -266,7 +270,7 @@ pub fn stitch(
         if run.rows.end < layout.triangles {
             batch.submit(&[])?;
             batch.begin()?;
-            batch.stage("stitch", 2 * run.rows.len() as u64 * ROW);
+            batch.stage("stitch", 2 * run.rows.len() as u64 * ROW_BYTES);
         }
     }
     Ok(())

@@ -95,7 +95,7 @@ def surfaces() -> Iterator[bpy.types.Mesh]:
     return (mesh for mesh in bpy.data.meshes if mesh.meniscus.source != "NONE" and mesh.library is None)
 
 
-def typed(value: float) -> float:
+def rounded_as_typed(value: float) -> float:
     """Rounds a number to 7 significant digits, to restore the number that the user typed.
 
     Blender stores numbers in single precision, where 0.05 is 0.0500000007.
@@ -107,31 +107,31 @@ def sampling_of(settings: bpy.types.PropertyGroup, cell: float) -> Sampling:
     """Converts a surface's settings to the settings of the sampling."""
     names = tuple(name.strip() for name in settings.attributes.split(",") if name.strip())
     return Sampling(
-        spacing=typed(settings.spacing) or None,
-        cell=typed(cell),
+        spacing=rounded_as_typed(settings.spacing) or None,
+        cell=rounded_as_typed(cell),
         attributes=names or None,
         where=settings.where.strip() or None,
-        domain=tuple(typed(value) for value in (*settings.tank_low, *settings.tank_high)) if settings.tank else None,
+        domain=tuple(rounded_as_typed(value) for value in (*settings.tank_low, *settings.tank_high)) if settings.tank else None,
     )
 
 
 def filters_of(settings: bpy.types.PropertyGroup) -> Filters:
     """Converts a surface's settings to the settings of the filters."""
     return Filters(
-        smooth=typed(settings.smooth),
+        smooth=rounded_as_typed(settings.smooth),
         smallest_drop=settings.smallest_drop or None,
-        simplify=typed(settings.simplify) or None,
+        simplify=rounded_as_typed(settings.simplify) or None,
     )
 
 
 def solids_of(settings: bpy.types.PropertyGroup, depsgraph: bpy.types.Depsgraph) -> Solids:
     """Returns the solids that a surface's settings name, as `depsgraph` evaluates them."""
-    return solids.solids_of(settings, typed(settings.solid_offset), depsgraph)
+    return solids.solids_of(settings, rounded_as_typed(settings.solid_offset), depsgraph)
 
 
 def timing_of(settings: bpy.types.PropertyGroup) -> Timing:
     """Converts a surface's settings to the timing of its files."""
-    return Timing(settings.start, settings.first, typed(settings.step))
+    return Timing(settings.start, settings.first, rounded_as_typed(settings.step))
 
 
 def _request(

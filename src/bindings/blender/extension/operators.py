@@ -176,7 +176,7 @@ def order_of(mesh: bpy.types.Mesh, scene: bpy.types.Scene) -> Order:
     settings = mesh.meniscus
     folder = bpy.path.abspath(settings.output)
     name = bpy.path.clean_name(mesh.name).replace(".", "_").rstrip("_-")
-    inputs, offset, files = bpy.path.abspath(settings.path), live.typed(settings.solid_offset), []
+    inputs, offset, files = bpy.path.abspath(settings.path), live.rounded_as_typed(settings.solid_offset), []
     frames = meniscus.list_frames(inputs)
     if settings.solids is not None:
         numbers = (number for number, _ in frames)

@@ -176,7 +176,7 @@ impl Control {
     }
 
     /// Adds the callback and the cancel handle to a request.
-    pub fn of(&self, request: Reconstruction) -> Reconstruction {
+    pub fn attach_to(&self, request: Reconstruction) -> Reconstruction {
         let request = request.cancel(self.cancel.clone());
         if self.listener.is_none() {
             return request;

@@ -175,7 +175,7 @@ pub unsafe extern "C" fn meniscus_sample_file(
 ///
 /// # Safety
 /// `frame` must be NULL or a handle that has not been freed.
-unsafe fn of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
+unsafe fn frame_of<'a>(frame: *const MeniscusFrame) -> Outcome<&'a MeniscusFrame> {
     // SAFETY: the caller upholds this function's contract.
     unsafe { frame.as_ref() }.ok_or_else(|| Failure::request("frame is NULL"))
 }
@@ -198,7 +198,7 @@ pub unsafe extern "C" fn meniscus_frame_surface(
 ) -> MeniscusStatus {
     let surface = || -> Outcome<Surface> {
         // SAFETY: the caller upholds this function's contract.
-        let frame = &unsafe { of(frame) }?.frame;
+        let frame = &unsafe { frame_of(frame) }?.frame;
         if options.is_null() {
             return Ok(frame.surface()?);
         }
@@ -227,7 +227,7 @@ pub unsafe extern "C" fn meniscus_frame_pack(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (frame, path) = unsafe { (of(frame)?, self::path(path, "path")?) };
+        let (frame, path) = unsafe { (frame_of(frame)?, self::path(path, "path")?) };
         let output = Reconstruction::new().packed_output(&path, replacing(overwrite))?;
         let packed = frame.frame.pack(output)?;
         // SAFETY: the caller upholds this function's contract.

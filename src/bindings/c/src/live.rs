@@ -73,7 +73,7 @@ pub unsafe extern "C" fn meniscus_simulation_frame(
             return Err(Failure::request("the simulation is already processing another frame"));
         };
         let control = control.for_other_work();
-        live.set_control(&control.of(Reconstruction::new()));
+        live.set_control(&control.attach_to(Reconstruction::new()));
         let _active = control.activate();
         Ok(MeniscusMesh::new(live.frame(&particles)?))
     };

@@ -198,7 +198,7 @@ impl MeniscusMesh {
 ///
 /// # Safety
 /// `mesh` must be NULL or a handle that has not been freed.
-unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
+unsafe fn mesh_of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
     // SAFETY: the caller upholds this function's contract.
     unsafe { mesh.as_ref() }.ok_or_else(|| Failure::request("mesh is NULL"))
 }
@@ -206,7 +206,7 @@ unsafe fn of<'a>(mesh: *const MeniscusMesh) -> Outcome<&'a MeniscusMesh> {
 /// Returns the result of the query `what`, or `none` if the handle is NULL.
 ///
 /// # Safety
-/// The requirements of [`of`].
+/// The requirements of [`mesh_of`].
 unsafe fn query<T: Copy>(
     mesh: *const MeniscusMesh,
     none: T,
@@ -306,7 +306,7 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f32(
     capacity: u64,
 ) -> MeniscusStatus {
     // SAFETY: the caller upholds this function's contract.
-    call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x as f32) })
+    call(|| unsafe { mesh_of(mesh)?.copy_positions((out, capacity), |x| x as f32) })
 }
 
 /// Copies the vertices' positions as double: 3 numbers per vertex.
@@ -321,7 +321,7 @@ pub unsafe extern "C" fn meniscus_mesh_positions_f64(
     capacity: u64,
 ) -> MeniscusStatus {
     // SAFETY: the caller upholds this function's contract.
-    call(|| unsafe { of(mesh)?.copy_positions((out, capacity), |x| x) })
+    call(|| unsafe { mesh_of(mesh)?.copy_positions((out, capacity), |x| x) })
 }
 
 /// Copies the triangles as uint32_t: the indices of the 3 vertices of each triangle,
@@ -339,7 +339,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u32(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let mesh = unsafe { of(mesh) }?;
+        let mesh = unsafe { mesh_of(mesh) }?;
         let vertices = mesh.outline.vertices;
         if vertices > 1 << 32 {
             return Err(Failure::request(format!(
@@ -365,7 +365,7 @@ pub unsafe extern "C" fn meniscus_mesh_triangles_u64(
     capacity: u64,
 ) -> MeniscusStatus {
     // SAFETY: the caller upholds this function's contract.
-    call(|| unsafe { of(mesh)?.copy_triangles((out, capacity), |vertex| vertex) })
+    call(|| unsafe { mesh_of(mesh)?.copy_triangles((out, capacity), |vertex| vertex) })
 }
 
 /// Copies the vertices' outward unit normals: 3 numbers per vertex. Returns MENISCUS_STATUS_REQUEST
@@ -382,7 +382,7 @@ pub unsafe extern "C" fn meniscus_mesh_normals(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let mesh = unsafe { of(mesh) }?;
+        let mesh = unsafe { mesh_of(mesh) }?;
         if !mesh.outline.normals {
             return Err(Failure::request("the mesh has no normals; set the option normals"));
         }
@@ -429,7 +429,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let mesh = unsafe { of(mesh) }?;
+        let mesh = unsafe { mesh_of(mesh) }?;
         let kind = mesh.attribute(index)?.kind;
         // SAFETY: the caller upholds this function's contract.
         unsafe { mesh.copy_attribute(index, (out, capacity), |word| kind.number(word)) }
@@ -453,7 +453,7 @@ pub unsafe extern "C" fn meniscus_mesh_attribute_whole(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let mesh = unsafe { of(mesh) }?;
+        let mesh = unsafe { mesh_of(mesh) }?;
         let info = mesh.attribute(index)?;
         if !info.kind.is_whole() {
             return Err(Failure::request(format!(
@@ -478,7 +478,7 @@ pub unsafe extern "C" fn meniscus_mesh_arrays(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let mesh = unsafe { of(mesh) }?;
+        let mesh = unsafe { mesh_of(mesh) }?;
         // Check the argument before the expensive copy of the mesh.
         // SAFETY: the caller upholds this function's contract.
         unsafe { check(arrays, "arrays") }?;
@@ -532,7 +532,7 @@ pub unsafe extern "C" fn meniscus_mesh_report(
     report: *mut MeniscusReport,
 ) -> MeniscusStatus {
     // SAFETY: the caller upholds this function's contract.
-    call(|| unsafe { fill(report, of(mesh)?.surface.report().into(), "report") })
+    call(|| unsafe { fill(report, mesh_of(mesh)?.surface.report().into(), "report") })
 }
 
 /// Checks that the mesh is closed, oriented and 2-manifold, and measures it. Like
@@ -547,7 +547,7 @@ pub unsafe extern "C" fn meniscus_mesh_check(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let mesh = unsafe { of(mesh) }?;
+        let mesh = unsafe { mesh_of(mesh) }?;
         // SAFETY: the caller upholds this function's contract.
         unsafe { self::check(check, "check") }?;
         let whole = &mesh.mesh_in_memory()?.mesh;
@@ -576,7 +576,7 @@ pub unsafe extern "C" fn meniscus_mesh_write(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (mesh, path) = unsafe { (of(mesh)?, self::path(path, "path")?) };
+        let (mesh, path) = unsafe { (mesh_of(mesh)?, self::path(path, "path")?) };
         let written = match replacing(overwrite) {
             meniscus::files::Replace::Allow => mesh.surface.overwrite(&path)?,
             _ => mesh.surface.write(&path)?,
@@ -605,7 +605,7 @@ pub unsafe extern "C" fn meniscus_mesh_format_warnings(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (mesh, path) = unsafe { (of(mesh)?, self::path(path, "path")?) };
+        let (mesh, path) = unsafe { (mesh_of(mesh)?, self::path(path, "path")?) };
         let warnings = mesh.surface.warnings_in(format(&path)?)?;
         let lines: Vec<String> = warnings.iter().map(ToString::to_string).collect();
         let lines = c_text(lines.join("\n"));

@@ -273,7 +273,8 @@ impl RequestParts {
         let MeniscusOptions { settings, machine, frames, progress, event, cancel } = options;
         let control = Control::new(progress, cancel);
         let memory = machine.memory.map_or_else(default_memory, MemoryBudget);
-        let mut request = control.of(Reconstruction::new().with_settings(settings)).memory(memory);
+        let mut request =
+            control.attach_to(Reconstruction::new().with_settings(settings)).memory(memory);
         if let Some(threads) = machine.threads {
             request = request.threads(threads);
         }
@@ -330,7 +331,7 @@ pub fn replacing(overwrite: i32) -> Replace {
 /// # Safety
 /// `options` must be NULL or a handle that has not been freed. No other thread may use it during
 /// the call.
-unsafe fn of<'a>(options: *mut MeniscusOptions) -> Outcome<&'a mut MeniscusOptions> {
+unsafe fn options_of<'a>(options: *mut MeniscusOptions) -> Outcome<&'a mut MeniscusOptions> {
     // SAFETY: the caller upholds this function's contract.
     unsafe { options.as_mut() }.ok_or_else(|| Failure::request("options is NULL"))
 }
@@ -395,7 +396,7 @@ pub unsafe extern "C" fn meniscus_options_set(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (options, key) = unsafe { (of(options)?, self::key(key)?) };
+        let (options, key) = unsafe { (options_of(options)?, self::key(key)?) };
         if key == "scratch" {
             // Read the scratch folder as a path, because a path need not be UTF-8.
             // SAFETY: the caller upholds this function's contract.
@@ -420,7 +421,7 @@ pub unsafe extern "C" fn meniscus_options_set_number(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (options, key) = unsafe { (of(options)?, self::key(key)?) };
+        let (options, key) = unsafe { (options_of(options)?, self::key(key)?) };
         options.set_or_error(key, Some(&[value].as_slice()))
     })
 }
@@ -439,7 +440,7 @@ pub unsafe extern "C" fn meniscus_options_set_numbers(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (options, key) = unsafe { (of(options)?, self::key(key)?) };
+        let (options, key) = unsafe { (options_of(options)?, self::key(key)?) };
         // SAFETY: the caller upholds this function's contract.
         let numbers = unsafe { array(values, count, key) }?;
         options.set_or_error(key, Some(&numbers))
@@ -461,7 +462,8 @@ pub unsafe extern "C" fn meniscus_options_on_progress(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        unsafe { of(options) }?.progress = progress.map(|callback| Listener { callback, user });
+        unsafe { options_of(options) }?.progress =
+            progress.map(|callback| Listener { callback, user });
         Ok(())
     })
 }
@@ -478,7 +480,8 @@ pub unsafe extern "C" fn meniscus_options_on_event(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        unsafe { of(options) }?.event = event.map(|callback| EventListener { callback, user });
+        unsafe { options_of(options) }?.event =
+            event.map(|callback| EventListener { callback, user });
         Ok(())
     })
 }
@@ -496,7 +499,7 @@ pub unsafe extern "C" fn meniscus_options_cancel_by(
 ) -> MeniscusStatus {
     call(|| {
         // SAFETY: the caller upholds this function's contract.
-        let (options, cancel) = unsafe { (of(options)?, cancel.as_ref()) };
+        let (options, cancel) = unsafe { (options_of(options)?, cancel.as_ref()) };
         options.cancel = cancel.map(|handle| handle.cancel.clone());
         Ok(())
     })

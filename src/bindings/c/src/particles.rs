@@ -128,10 +128,13 @@ impl Numbers {
         if self.at.is_null() {
             return Err(Failure::request(format!("{what} is NULL, but count is {count}")));
         }
-        let far =
+        let last_offset =
             |steps: usize, stride: isize| isize::try_from(steps - 1).ok()?.checked_mul(stride);
         let reach = || -> Option<()> {
-            let ends = [far(count, self.stride)?, far(self.components, self.component_stride)?];
+            let ends = [
+                last_offset(count, self.stride)?,
+                last_offset(self.components, self.component_stride)?,
+            ];
             let lowest: isize =
                 ends.iter().map(|end| (*end).min(0)).try_fold(0_isize, isize::checked_add)?;
             let highest: isize = ends

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 import meniscus
 
-SPACING, STEP, FRAMES, STEPS_A_FRAME, PUSHES = 0.05, 1 / 120, 36, 4, 6
+SPACING, STEP, FRAMES, STEPS_PER_FRAME, PUSHES_PER_STEP = 0.05, 1 / 120, 36, 4, 6
 TANK = np.array([[0.0, 0.0, 0.0], [1.6, 1.2, 0.4]])
 GRAVITY = np.array([0.0, -9.81, 0.0])
 Points: TypeAlias = npt.NDArray[np.float64]
@@ -38,7 +38,7 @@ def neighbours(points: Points) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.int
 def advance(points: Points, velocity: Points) -> tuple[Points, Points]:
     """Advances the particles by a time step, pushes close particles apart, and keeps all particles in the tank."""
     moved = points + STEP * (velocity + STEP * GRAVITY)
-    for _ in range(PUSHES):
+    for _ in range(PUSHES_PER_STEP):
         one, other = neighbours(moved)
         apart = moved[one] - moved[other]
         length = np.linalg.norm(apart, axis=1)
@@ -55,7 +55,7 @@ if __name__ == "__main__":
     velocity = np.zeros_like(water)
     simulation = meniscus.Simulation(spacing=SPACING, domain=TANK, smooth=2.0)
     for frame in range(FRAMES):
-        for _ in range(STEPS_A_FRAME):
+        for _ in range(STEPS_PER_FRAME):
             water, velocity = advance(water, velocity)
         mesh = simulation.frame(water, velocity=velocity)
         mesh.write(Path(sys.argv[1]) / f"water_{frame:03}.ply", overwrite=True)

@@ -18,7 +18,7 @@ use crate::volume::Volume;
 use crate::work::{Work, with_progress};
 
 /// The groups of keywords that apply to a frame from a file.
-const OF_FRAMES: &[KeywordGroup] = &[
+const FRAME_KEYWORD_GROUPS: &[KeywordGroup] = &[
     KeywordGroup::Sampling,
     KeywordGroup::Where,
     KeywordGroup::Surface,
@@ -60,7 +60,7 @@ impl Frame {
             Keywords::of(function, Some(keywords), &[KeywordGroup::Surface])?;
             all.update(keywords.as_mapping())?;
         }
-        let request = Keywords::of(function, Some(&all), OF_FRAMES)?.request;
+        let request = Keywords::of(function, Some(&all), FRAME_KEYWORD_GROUPS)?.request;
         Ok(match &self.attribute_names {
             Some(names) => request.attributes(names),
             None => request,
@@ -160,7 +160,7 @@ impl Frame {
         let files = paths("path", path)?;
         let constructor_keywords =
             keywords.map_or_else(|| Ok(PyDict::new(py)), |keywords| keywords.copy())?;
-        let request = Keywords::of("load", keywords, OF_FRAMES)?;
+        let request = Keywords::of("load", keywords, FRAME_KEYWORD_GROUPS)?;
         let request = request.on_machine(None)?;
         let work = Work::new();
         let request = work.attach_to(request, progress.is_some());

@@ -7,7 +7,7 @@ use pyo3::types::PyDict;
 
 use crate::backends::Device;
 use crate::errors::InputError;
-use crate::simulation::SIMULATION;
+use crate::simulation::SIMULATION_KEYWORDS;
 use crate::values::Keyword;
 
 /// A group of keywords. Each function accepts only certain groups.
@@ -31,10 +31,10 @@ pub enum KeywordGroup {
 
 impl KeywordGroup {
     fn of(name: &str) -> Option<Self> {
-        if MACHINE.contains(&name) {
+        if MACHINE_KEYWORDS.contains(&name) {
             return Some(Self::Machine);
         }
-        if FILES.contains(&name) {
+        if FILE_KEYWORDS.contains(&name) {
             return Some(Self::Files);
         }
         if name == "where" {
@@ -43,7 +43,7 @@ impl KeywordGroup {
         if name == "attributes" {
             return Some(Self::Attributes);
         }
-        if SIMULATION.contains(&name) {
+        if SIMULATION_KEYWORDS.contains(&name) {
             return Some(Self::Simulation);
         }
         let setting = Settings::ALL.iter().find(|setting| setting.name() == name)?;
@@ -52,10 +52,10 @@ impl KeywordGroup {
 }
 
 /// The keywords of [`KeywordGroup::Machine`].
-const MACHINE: [&str; 5] = ["backend", "device", "threads", "memory", "scratch"];
+const MACHINE_KEYWORDS: [&str; 5] = ["backend", "device", "threads", "memory", "scratch"];
 
 /// The keywords of [`KeywordGroup::Files`].
-const FILES: [&str; 1] = ["format"];
+const FILE_KEYWORDS: [&str; 1] = ["format"];
 
 /// The keywords of a call, as a request. The backend is chosen later, when the input's size is
 /// known.

@@ -20,7 +20,7 @@ use crate::values::Keyword;
 use crate::work::{Message, Work, on_all_cores, with_progress};
 
 /// The keywords of a conversion.
-pub const SIMULATION: [&str; 10] = [
+pub const SIMULATION_KEYWORDS: [&str; 10] = [
     "start",
     "end",
     "step",
@@ -313,7 +313,7 @@ impl Simulation {
 fn reject_file_keywords(keywords: Option<&Bound<'_, PyDict>>) -> PyResult<()> {
     for (name, value) in keywords.into_iter().flatten() {
         let name: String = name.extract()?;
-        if !value.is_none() && (name == "format" || SIMULATION.contains(&name.as_str())) {
+        if !value.is_none() && (name == "format" || SIMULATION_KEYWORDS.contains(&name.as_str())) {
             return Err(InputError::new_err(format!(
                 "{name}: works only if inputs and output are given"
             )));

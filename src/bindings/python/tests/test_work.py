@@ -80,11 +80,11 @@ def test_ctrl_c_cancels_the_work(long: Any) -> None:
 
 def test_other_threads_keep_running(long: Any) -> None:
     ticks = 0
-    over = threading.Event()
+    stop = threading.Event()
 
     def count() -> None:
         nonlocal ticks
-        while not over.wait(0.002):
+        while not stop.wait(0.002):
             ticks += 1
 
     thread = threading.Thread(target=count)
@@ -94,7 +94,7 @@ def test_other_threads_keep_running(long: Any) -> None:
     meniscus.reconstruct(**long)
     seconds = time.monotonic() - begin
     counted = ticks - before
-    over.set()
+    stop.set()
     thread.join()
     assert counted > seconds / 0.002 / 20
 
@@ -125,33 +125,33 @@ def test_threads_can_share_the_module_but_not_a_simulation(long: Any, ball: Any)
 def test_an_array_that_changes_meanwhile_gives_a_mesh_or_an_exception() -> None:
     calm = lattice(8.0)
     positions = calm.copy()
-    over = threading.Event()
+    stop = threading.Event()
     # Every 8th call holds this lock, so that the array does not change while the call reads it, and
     # the call returns a mesh.
-    still = threading.Lock()
+    change_lock = threading.Lock()
 
-    def disturb() -> None:
+    def keep_changing() -> None:
         rng = np.random.default_rng(1)
-        while not over.is_set():
-            with still:
+        while not stop.is_set():
+            with change_lock:
                 positions[rng.integers(len(calm), size=200)] = rng.choice([0.0, 1.0, -4.0, 1e30, np.nan, np.inf], (200, 3))
                 positions[:] = calm
             time.sleep(0)
 
-    thread = threading.Thread(target=disturb)
+    thread = threading.Thread(target=keep_changing)
     thread.start()
     meshes = errors = 0
     try:
         for number in range(40):
             try:
-                with still if number % 8 == 7 else contextlib.nullcontext():
+                with change_lock if number % 8 == 7 else contextlib.nullcontext():
                     mesh = meniscus.reconstruct(positions, velocity=positions, spacing=1.0, cell=(0.2, 0.5)[number % 2], threads=2)
                 meshes += bool(mesh.check())
             except meniscus.Error as error:
                 assert "a bug" not in str(error)
                 errors += 1
     finally:
-        over.set()
+        stop.set()
         thread.join()
     assert meshes + errors == 40 and meshes > 0
 

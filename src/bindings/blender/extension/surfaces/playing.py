@@ -13,22 +13,22 @@ from .sequence import Timing
 class TimeMapping:
     """Maps scene frames to the time codes of a stage.
 
-    The time code is `at_start` at frame `start`, and increases by `each` per scene frame.
+    The time code is `code_at_start` at frame `start`, and increases by `codes_per_frame` per scene frame.
     """
 
     start: int
-    at_start: float
-    each: float
+    code_at_start: float
+    codes_per_frame: float
 
     @property
     def offset(self) -> float | None:
         """The number to subtract from a frame to get its time code; None if the rates differ."""
-        return self.start - self.at_start if abs(self.each - 1.0) < 1e-4 else None
+        return self.start - self.code_at_start if abs(self.codes_per_frame - 1.0) < 1e-4 else None
 
     @property
     def expression(self) -> str:
         """The time code of `frame`, as a driver expression."""
-        return f"{self.at_start:.9g} + ({self.each:.9g}) * (frame - {self.start})"
+        return f"{self.code_at_start:.9g} + ({self.codes_per_frame:.9g}) * (frame - {self.start})"
 
 
 def read_time_mapping(listing: Path, timing: Timing) -> TimeMapping:
@@ -37,8 +37,8 @@ def read_time_mapping(listing: Path, timing: Timing) -> TimeMapping:
     first, last = listed["frames"][0], listed["frames"][-1]
     numbers = last["frame"] - first["frame"]
     codes = (last["time_code"] - first["time_code"]) / numbers if numbers else 1.0
-    at_start = first["time_code"] + codes * (timing.first - first["frame"])
-    return TimeMapping(timing.start, at_start, codes * timing.step)
+    code_at_start = first["time_code"] + codes * (timing.first - first["frame"])
+    return TimeMapping(timing.start, code_at_start, codes * timing.step)
 
 
 def volume_offset(timing: Timing, first: int, last: int) -> str:

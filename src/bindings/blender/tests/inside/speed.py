@@ -33,7 +33,7 @@ def clock(act) -> float:
     return time.perf_counter() - began
 
 
-def cell_of(cell: float) -> None:
+def measure_with_cell_size(cell: float) -> None:
     scene = emptied()
     live._state.reset()
     bpy.ops.meniscus.add_files(filepath=str(first))
@@ -42,7 +42,7 @@ def cell_of(cell: float) -> None:
     settings.cell_viewport = cell
     numbers = [extension.surfaces.sequence.number_of(str(path)) for path in (first, second)]
     frames = [number - settings.first + settings.start for number in numbers]
-    keywords = {"spacing": live.typed(settings.spacing), "cell": cell}
+    keywords = {"spacing": live.rounded_as_typed(settings.spacing), "cell": cell}
     bare = bpy.data.meshes.new("bare")
     other = bpy.data.objects.new("bare", bare)
     scene.collection.objects.link(other)
@@ -102,5 +102,5 @@ def memory() -> None:
 
 
 for cell in (1.0, 0.5):
-    cell_of(cell)
+    measure_with_cell_size(cell)
 memory()

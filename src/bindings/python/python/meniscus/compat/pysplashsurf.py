@@ -34,7 +34,7 @@ _Corner: TypeAlias = Sequence[float] | npt.NDArray[Any] | None
 
 # The smoothing width in spacings is 0.8 times splashsurf's smoothing length in particle radii,
 # within limits. The 2 radii that splashsurf recommends give the library's default of 1.6 spacings.
-_SPACINGS_A_RADIUS = 0.8
+_SPACINGS_PER_RADIUS = 0.8
 _NARROWEST, _WIDEST = 0.8, 4.0
 
 
@@ -256,7 +256,7 @@ def _surface(
         attributes=numbered,
         spacing=2.0 * radius,
         cell_size=cell_size,
-        smooth=min(max(_SPACINGS_A_RADIUS * smoothing_length, _NARROWEST), _WIDEST),
+        smooth=min(max(_SPACINGS_PER_RADIUS * smoothing_length, _NARROWEST), _WIDEST),
         normals=normals,
         threads=threads,
     )
