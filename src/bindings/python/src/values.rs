@@ -95,7 +95,7 @@ impl<'py> Keyword<'_, 'py> {
     }
 }
 
-impl Source for Keyword<'_, '_> {
+impl<'py> Source for Keyword<'_, 'py> {
     type Error = PyErr;
 
     fn number(&self) -> PyResult<f64> {
