@@ -196,6 +196,9 @@ settings! {
     cell: Option<f64>,
 
     /// Origin of the grid: a point that is a corner of a cell [default: 0,0,0].
+    ///
+    /// If you give walls, the default moves to the nearest point for which the lower wall of each
+    /// axis lies exactly between two cells.
     #[arg(
         value_name = "X,Y,Z", value_parser = faces::point, allow_hyphen_values = true,
         help_heading = "Surface", hide_short_help = true

@@ -2,8 +2,8 @@
 //! axis.
 //!
 //! The comment is written only if z points up. Without a record of the axis, y points up, as most
-//! programs expect. `.ply`, `.obj`, `.vtk`, `.vtp`, `.pvtp` and `.stl` have comments or titles. For
-//! all formats, the .json list of a simulation's frames also records the axis.
+//! programs expect. `.ply`, `.obj`, `.vtk`, `.vtp`, `.pvtp`, `.stl` and `.bgeo.sc` have comments or
+//! titles. For all formats, the .json list of a simulation's frames also records the axis.
 
 use std::fs::File;
 use std::io::Read;
@@ -11,12 +11,14 @@ use std::path::Path;
 
 use crate::surface::mesh::source::MeshSource;
 
-use super::{UpAxis, series};
+use super::bytes::open_bytes;
+use super::input_format::InputFormat;
+use super::{UpAxis, houdini, series};
 
 /// The text of the comment, without the delimiters of a format.
 const NOTE: &str = "meniscus: z points up";
 /// Number of bytes at the start of a file that are searched for the comment.
-const SEARCHED: u64 = 512;
+const SEARCHED: usize = 512;
 
 /// The comment for the file of `mesh`, if its up axis is z.
 pub(super) fn up_comment(mesh: &dyn MeshSource) -> Option<&'static str> {
@@ -33,8 +35,16 @@ pub(super) fn delimited_up_comment(mesh: &dyn MeshSource, [before, after]: [&str
 #[must_use]
 pub fn recorded_up(mesh: &Path) -> Option<UpAxis> {
     let recorded_in_file = || {
-        let mut begins = Vec::new();
-        File::open(mesh).ok()?.take(SEARCHED).read_to_end(&mut begins).ok()?;
+        let begins = match InputFormat::of(mesh) {
+            Some(InputFormat::Bgeo) => {
+                houdini::first_bytes(open_bytes(mesh).ok()?.view(), SEARCHED)
+            }
+            _ => {
+                let mut begins = Vec::new();
+                File::open(mesh).ok()?.take(SEARCHED as u64).read_to_end(&mut begins).ok()?;
+                begins
+            }
+        };
         let mut places = begins.windows(NOTE.len());
         places.any(|place| place == NOTE.as_bytes()).then_some(UpAxis::Z)
     };

@@ -1,12 +1,12 @@
 //! `meniscus check` and `meniscus compare`: defects and measurements of a mesh, and its distances
 //! from another mesh.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
 use meniscus::Error;
 use meniscus::error::shown;
-use meniscus::files::{MeshFormat, files};
+use meniscus::files::{InputFormat, MeshFormat, files};
 use meniscus::mesh::{CheckReport, Comparison, Distances, Measures, Side, measure, read_mesh};
 use serde::Serialize;
 
@@ -47,9 +47,11 @@ struct MeshCheck {
 /// encloses a volume.
 pub fn check(options: &CheckOptions) -> Result<Verdict, Error> {
     let (mut all, mut errors) = (Vec::new(), Vec::new());
-    for path in
-        files(&options.meshes, |file| MeshFormat::of(file).is_some_and(MeshFormat::is_read))?
-    {
+    let is_mesh = |file: &Path| {
+        MeshFormat::of(file).is_some_and(MeshFormat::is_read)
+            || InputFormat::of(file) == Some(InputFormat::Bgeo)
+    };
+    for path in files(&options.meshes, is_mesh)? {
         let mesh = match read_mesh(&path) {
             Ok(mesh) => mesh,
             Err(error) => {

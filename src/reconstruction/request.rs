@@ -109,6 +109,9 @@ impl ChosenSampling {
 /// If there are more particles than this, walls are found only on request, because finding them
 /// needs another reading.
 const MOST_PARTICLES_FOR_HINT: usize = 1 << 24;
+/// Lower walls lie between two cells of the grid, and also between two cells that are up to this
+/// number of times as wide. This includes the wide cells of all cells that are not extremely fine.
+const ALIGNED_CELLS: f64 = 64.0;
 
 /// A callback that receives the positions of all particles, in pieces and in any order.
 type PositionVisitor<'a> = &'a (dyn Fn(&[[f64; 3]]) + Sync);
@@ -165,7 +168,23 @@ impl SamplingRequest {
 
     /// The requested grid, with this cell size.
     pub fn grid(&self, cell_size: f64) -> Result<Grid, Error> {
-        Ok(Grid::new(self.origin.unwrap_or_default(), cell_size)?)
+        let origin = self.origin.unwrap_or_else(|| self.origin_at_walls(cell_size));
+        Ok(Grid::new(origin, cell_size)?)
+    }
+
+    /// The origin that is next to 0 among those for which the lower walls lie between two cells,
+    /// also between cells that are up to `ALIGNED_CELLS` times as wide. Along an axis with only an
+    /// upper wall, this wall lies between two cells. Along open axes, the origin is 0.
+    fn origin_at_walls(&self, cell_size: f64) -> DVec3 {
+        let step = ALIGNED_CELLS * cell_size;
+        let along = |[lo, hi]: [f64; 2]| {
+            let wall = if lo.is_finite() { lo } else { hi };
+            let offset = wall - (wall / step).round() * step;
+            if offset.is_finite() { offset } else { 0.0 }
+        };
+        self.walls.map_or(DVec3::ZERO, |[lo, hi]| {
+            DVec3::from([0, 1, 2].map(|axis: usize| along([lo[axis], hi[axis]])))
+        })
     }
 
     pub(super) fn domain(&self, grid: &Grid) -> Result<Option<Domain>, DomainError> {
@@ -515,8 +534,8 @@ impl SamplingRequest {
         })
     }
 
-    /// The origin to use for particles around `middle`, if `middle` is outside the middle half of a
-    /// grid whose origin is 0.
+    /// The origin to use for particles around `middle`, if `middle` is outside the middle half of
+    /// the requested grid.
     fn origin_for(&self, middle: Option<DVec3>, size: f64) -> Option<[f64; 3]> {
         let middle = middle.filter(|_| self.origin.is_none())?;
         let reach = f64::from(CELL_LIMIT) / 2.0 * size;
@@ -528,12 +547,14 @@ impl SamplingRequest {
                 [0, 1, 2].map(|a| if walled[a].is_finite() { walled[a] } else { middle[a] }),
             )
         });
-        // The origin moves by whole cells, and only along axes on which the middle is farther than
+        // The origin moves by whole steps, and only along axes on which the middle is farther than
         // `reach` from 0.
-        let origin = middle
+        let step = ALIGNED_CELLS * size;
+        let moved = middle
             .to_array()
-            .map(|c| if c.abs() > reach { (c / size).round() * size } else { 0.0 });
-        (origin != [0.0; 3] && origin.iter().all(|c| c.is_finite())).then_some(origin)
+            .map(|c| if c.abs() > reach { (c / step).round() * step } else { 0.0 });
+        let origin = (self.origin_at_walls(size) + DVec3::from(moved)).to_array();
+        (moved != [0.0; 3] && origin.iter().all(|c| c.is_finite())).then_some(origin)
     }
 
     /// The cells for a given spacing, with warnings if the neighbours at the scale of this spacing
@@ -706,7 +727,7 @@ impl SamplingRequest {
     pub fn grid_of(&self, cells: &Cells) -> Result<Grid, Error> {
         match cells.origin {
             Some(origin) => Ok(Grid::new(origin.into(), cells.size)?),
-            None => self.grid(cells.size),
+            None => self.in_walls(cells.found()).in_slab(cells.slab).grid(cells.size),
         }
     }
 

@@ -10,6 +10,7 @@ use std::thread::available_parallelism;
 
 use crate::error::{Error, SimulationError};
 use crate::io::collection::{ListedFrame, frame_of, is_list, listed};
+use crate::io::input::InputFormat;
 use crate::io::input::file_and_step;
 use crate::io::output::{MeshFormat, OpenedMesh, open_mesh};
 use crate::io::series::listed_meshes;
@@ -279,7 +280,9 @@ impl Pictures {
             && mesh.is_dir()
         {
             // The folder may contain other files.
-            let files = files_in(mesh, |file| MeshFormat::of(file).is_some())?;
+            let files = files_in(mesh, |file| {
+                MeshFormat::of(file).is_some() || InputFormat::of(file) == Some(InputFormat::Bgeo)
+            })?;
             match &files[..] {
                 [] => return Err(SimulationError::NoFiles(mesh.display().to_string()).into()),
                 [file] => return Ok((None, vec![single_mesh(file)])),

@@ -7,15 +7,19 @@ use meniscus::files::{Info, Primitives, info};
 use meniscus::internals::io::bytes::{Bytes, Unpacking, open_bytes};
 use meniscus::internals::io::input;
 use meniscus::internals::io::output::{MeshFormat, read_mesh};
+use meniscus::internals::io::up::recorded_up;
 use meniscus::internals::io::wanted::{WantedAttributes, WantedParticles};
-use meniscus::internals::io::{CoordinateWidth, ParticleFile, ReadFault, UnreadPart, houdini};
+use meniscus::internals::io::{
+    CoordinateWidth, ParticleFile, ReadFault, UnreadPart, UpAxis, houdini,
+};
 use meniscus::internals::particles::sizes::SizeChoice;
 use meniscus::internals::particles::{AttributeKind, Particles, RereadError};
+use meniscus::internals::surface::mesh::up::TurnedMesh;
 use meniscus::internals::surface::mesh::{Mesh, VertexAttribute};
 
 use crate::build::houdini::{
-    Codec, Container, Form, Layout, STORAGES, Shuffle, Value, cloud, definition, geometry, keyed,
-    numeric, strings, text,
+    Codec, Container, Form, Layout, SIDES, STORAGES, Shuffle, Value, cloud, cubes, definition,
+    geometry, keyed, numeric, primitive, strings, text,
 };
 use crate::build::{gzip, tuples};
 use crate::common::particle_files::{attribute, positions};
@@ -236,10 +240,6 @@ fn unwanted_attributes_are_listed_but_not_read() {
     };
     assert_eq!(names(file.particles.attributes()), ["v"]);
     assert_eq!(names(&file.unread), ["age"]);
-}
-
-fn primitive(kind: &str, data: Vec<(&str, Value)>) -> Value {
-    Value::List(vec![keyed(vec![("type", text(kind))]), keyed(data)])
 }
 
 #[test]
@@ -495,69 +495,10 @@ fn files_that_are_not_point_geometries_are_refused_with_the_reason() {
     assert!(matches!(missing.unwrap_err().fault, ReadFault::Io(_)));
 }
 
-/// The corners of the sides of a cube with the points 0 to 7, where point n has the coordinates n &
-/// 1, n >> 1 & 1 and n >> 2. As in Houdini, corners are clockwise as seen from outside.
-const SIDES: [[u32; 4]; 6] =
-    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
-
-/// The sides of a cube, as single polygons, as a run that lists the corners of each polygon, and as
-/// runs of consecutive corners. An open polygon and a curve go along one side.
-fn cubes() -> Vec<Value> {
-    let corners = |first: usize, count: usize| {
-        Value::Numbers("int32", (first..first + count).map(|corner| corner as f64).collect())
-    };
-    let closed = |closed: bool| Value::Map(vec![text("closed"), Value::Bool(closed)]);
-    let run = |varying: &[&str], uniform: Value, polygons: Vec<Value>| {
-        let varying = Value::List(varying.iter().map(|name| text(name)).collect());
-        let kind = keyed(vec![
-            ("type", text("run")),
-            ("runtype", text("Poly")),
-            ("varyingfields", varying),
-            ("uniformfields", uniform),
-        ]);
-        Value::List(vec![kind, Value::List(polygons)])
-    };
-    let of_run = |kind: &str, sizes: (&str, Vec<f64>), count: i64| {
-        let start = if kind == "p_r" { ["s_v", "n_p"] } else { ["startvertex", "nprimitives"] };
-        let sizes = (sizes.0, Value::Numbers("uint8", sizes.1));
-        let data = vec![(start[0], Value::Integer(0)), (start[1], Value::Integer(count)), sizes];
-        primitive(kind, data)
-    };
-    let curve = of_run("PolygonCurve_run", ("nvertices", vec![4.0]), 1);
-    let open = primitive("Poly", vec![("vertex", corners(0, 4)), ("closed", Value::Bool(false))]);
-    let single = |side: usize| {
-        primitive("Poly", vec![("closed", Value::Bool(true)), ("vertex", corners(4 * side, 4))])
-    };
-    let lone = |side: usize| Value::List(vec![corners(4 * side, 4)]);
-    let marked = |(side, is_closed): (usize, bool)| {
-        Value::List(vec![Value::Bool(is_closed), corners(4 * side, 4)])
-    };
-    let sides = 0..6;
-    let some_open = sides.clone().map(|side| (side, true)).chain([(2, false)]);
-    let geometries = vec![
-        sides.clone().map(single).chain([open, curve.clone()]).collect(),
-        vec![
-            run(&["vertex"], closed(true), sides.clone().map(lone).collect()),
-            run(&["vertex"], closed(false), sides.map(lone).collect()),
-        ],
-        vec![run(&["closed", "vertex"], Value::Map(Vec::new()), some_open.map(marked).collect())],
-        vec![of_run("Polygon_run", ("nvertices_rle", vec![4.0, 2.0, 4.0, 4.0]), 6), curve],
-        vec![of_run("p_r", ("n_v", vec![4.0; 6]), 6)],
-    ];
-    let vertices: Vec<f64> = SIDES.as_flattened().iter().map(|&point| f64::from(point)).collect();
-    let points: Vec<f64> =
-        (0..8).flat_map(|n| [n & 1, n >> 1 & 1, n >> 2]).map(f64::from).collect();
-    let geometries = geometries.into_iter().map(|primitives: Vec<Value>| {
-        let position = numeric("P", "fpreal32", 3, &points, &Layout::Pages(1024, vec![3]));
-        geometry(8, vec![position], &vertices, primitives)
-    });
-    geometries.collect()
-}
-
 #[test]
 fn polygons_of_every_form_become_the_same_outward_triangles() {
     let expected: Vec<[u32; 3]> =
-        SIDES.iter().flat_map(|&[a, b, c, d]| [[d, c, b], [d, b, a]]).collect();
+        SIDES.iter().flat_map(|&[a, b, c, d]| [[a, d, c], [a, c, b]]).collect();
     for (number, cube) in cubes().into_iter().enumerate() {
         for form in Form::ALL {
             let mesh = houdini::read_mesh(cube.document(form).into()).unwrap();
@@ -604,53 +545,111 @@ fn primitives_with_a_surface_that_is_not_polygonal_are_refused_by_name() {
         let whole = geometry(10, vec![position(10)], &bound, primitives);
         houdini::read_mesh(whole.document(Form::ALL[1]).into())
     };
-    for kind in ["Sphere", "PackedGeometry", "VDB", "PolySoup", "NURBMesh"] {
+    for (kind, node) in [
+        ("Sphere", "a Convert SOP"),
+        ("PackedGeometry", "an Unpack SOP"),
+        ("VDB", "a Convert VDB SOP"),
+        ("PolySoup", "a Convert SOP"),
+        ("NURBMesh", "a Convert SOP"),
+    ] {
         let fault = mesh(vec![triangle(), other(kind)]).unwrap_err();
         let ReadFault::Unsupported(what) = &fault else { panic!("{fault}") };
-        assert!(what.contains(&format!("1 {kind}")) && what.contains("Convert SOP"), "{what}");
+        assert!(what.contains(&format!("1 {kind}")) && what.contains(node), "{what}");
     }
+    // A closed curve is a filled face.
+    let curve = |closed: bool| {
+        let entries = vec![("vertex", Value::Integer(6)), ("closed", Value::Bool(closed))];
+        primitive("NURBCurve", entries)
+    };
+    let fault = mesh(vec![triangle(), curve(true)]).unwrap_err();
+    assert!(fault.to_string().contains("1 closed NURBCurve"), "{fault}");
     // Particle systems, curves and unused points have no surface.
     let particles = primitive("Part", vec![("vertex", Value::Numbers("int32", vec![7.0, 8.0]))]);
-    let curve = other("NURBCurve");
-    let read = mesh(vec![triangle(), particles, curve]).unwrap();
-    assert_eq!((read.positions.len(), read.triangles), (10, vec![[2, 1, 0]]));
+    let read = mesh(vec![triangle(), particles.clone(), curve(false)]).unwrap();
+    assert_eq!((read.positions.len(), read.triangles), (10, vec![[0, 2, 1]]));
+    // Without any polygon, the file is not a mesh.
+    for primitives in [vec![], vec![particles], vec![curve(false)]] {
+        let fault = mesh(primitives).unwrap_err();
+        assert!(matches!(fault, ReadFault::Unsupported(_)), "{fault}");
+    }
 }
 
 #[test]
 fn polygons_that_do_not_fit_the_vertices_are_refused() {
+    let integer = Value::Integer;
+    let sized = |first: i64, count: i64, sizes: Value| {
+        primitive("p_r", vec![("s_v", integer(first)), ("n_p", integer(count)), ("r_v", sizes)])
+    };
     let run = |first: i64, count: i64, sizes: Vec<f64>| {
-        primitive(
-            "p_r",
-            vec![
-                ("s_v", Value::Integer(first)),
-                ("n_p", Value::Integer(count)),
-                ("r_v", Value::Numbers("int64", sizes)),
-            ],
-        )
+        sized(first, count, Value::Numbers("int64", sizes))
     };
     let huge = (1_u64 << 62) as f64;
-    let vertex = |vertex: f64| {
-        let corners = Value::Numbers("int64", vec![0.0, 1.0, vertex]);
-        primitive("Poly", vec![("vertex", corners)])
+    let lists = |lists: Vec<Value>| {
+        primitive("Poly", lists.into_iter().map(|list| ("vertex", list)).collect())
     };
-    let read = |primitive: Value| {
-        let whole = geometry(4, vec![position(4)], &[0.0, 1.0, 2.0, 3.0], vec![primitive]);
+    let list = |corners: &[f64]| Value::Numbers("int64", corners.to_vec());
+    let vertex = |vertex: f64| lists(vec![list(&[0.0, 1.0, vertex])]);
+    let varying = |fields: &[&str]| {
+        let fields = Value::List(fields.iter().map(|name| text(name)).collect());
+        let kind =
+            vec![("type", text("run")), ("runtype", text("Poly")), ("varyingfields", fields)];
+        Value::List(vec![keyed(kind), Value::List(vec![Value::List(vec![])])])
+    };
+    let read = |primitives: Vec<Value>| {
+        let whole = geometry(4, vec![position(4)], &[0.0, 1.0, 2.0, 3.0], primitives);
         houdini::read_mesh(whole.document(Form::ALL[1]).into())
     };
-    assert_eq!(read(run(1, 1, vec![3.0, 1.0])).unwrap().triangles, [[3, 2, 1]]);
-    for damaged in [
-        run(2, 1, vec![3.0, 1.0]),
-        run(0, 2, vec![3.0, 1.0]),
-        run(0, i64::MAX, vec![3.0, huge]),
-        run(0, 1 << 62, vec![0.0, huge]),
-        run(0, 1, vec![-3.0, 1.0]),
-        run(i64::MAX, 1, vec![3.0, 1.0]),
-        vertex(4.0),
-        vertex(-1.0),
-    ] {
+    let triangle = || run(1, 1, vec![3.0, 1.0]);
+    assert_eq!(read(vec![triangle()]).unwrap().triangles, [[1, 3, 2]]);
+    // A polygon without corners has no surface.
+    let with_empty = run(1, 3, vec![0.0, 2.0, 3.0, 1.0]);
+    assert_eq!(read(vec![with_empty]).unwrap().triangles, [[1, 3, 2]]);
+    let mixed = Value::List(vec![integer(3), text("x"), integer(1)]);
+    for (number, damaged) in [
+        vec![run(2, 1, vec![3.0, 1.0])],
+        vec![run(0, 2, vec![3.0, 1.0])],
+        vec![run(0, i64::MAX, vec![3.0, huge])],
+        vec![run(0, 1, vec![-3.0, 1.0])],
+        vec![run(0, 1, vec![3.0])],
+        vec![run(0, 1, vec![3.0, 1.0, 0.0])],
+        vec![run(i64::MAX, 1, vec![3.0, 1.0])],
+        vec![run(0, 100, vec![0.0; 200])],
+        vec![sized(0, 1, mixed.clone())],
+        vec![sized(0, 1, Value::Bits(vec![true; 2]))],
+        // Every vertex belongs to one polygon.
+        vec![triangle(), triangle()],
+        vec![triangle(), vertex(0.0)],
+        vec![vertex(4.0)],
+        vec![vertex(-1.0)],
+        vec![vertex(0.5)],
+        vec![lists(vec![mixed])],
+        vec![lists(vec![])],
+        vec![lists(vec![list(&[0.0, 1.0]), list(&[2.0, 3.0])])],
+        vec![varying(&[])],
+        vec![varying(&["vertex", "vertex"])],
+    ]
+    .into_iter()
+    .enumerate()
+    {
         let (fault, largest) = memory::largest_allocation(|| read(damaged).unwrap_err());
-        assert!(matches!(fault, ReadFault::Malformed { .. }), "{fault}");
-        assert!(largest < 1 << 16, "{largest}");
+        assert!(matches!(fault, ReadFault::Malformed { .. }), "{number}: {fault}");
+        assert!(largest < 1 << 16, "{number}: {largest}");
+    }
+}
+
+#[test]
+fn a_geometry_with_a_part_twice_is_refused() {
+    let whole = || geometry(4, vec![position(4)], &[0.0, 1.0, 2.0], Vec::new());
+    for key in ["pointcount", "topology", "attributes", "primitives"] {
+        let Value::List(mut parts) = whole() else { unreachable!() };
+        let is_key = |part: &Value| matches!(part, Value::Text(text) if text == key);
+        let at = parts.iter().position(is_key).expect(key);
+        parts.extend([text(key), parts[at + 1].clone()]);
+        let document = Value::List(parts).document(Form::ALL[1]);
+        let mesh = houdini::read_mesh(document.clone().into()).map(|_| ());
+        for fault in [mesh.unwrap_err(), read(document).map(|_| ()).unwrap_err()] {
+            assert!(matches!(fault, ReadFault::Malformed { .. }), "{key}: {fault}");
+        }
     }
 }
 
@@ -664,7 +663,8 @@ fn damaged_polygons_never_panic_and_never_add_triangles() {
                     let mut damaged = bytes.clone();
                     damaged[at] ^= flip;
                     if let Ok(mesh) = houdini::read_mesh(damaged.into()) {
-                        assert!(mesh.triangles.len() <= 44, "byte {at}");
+                        // The 24 vertices are the corners of at most 24 / 3 triangles or one fan.
+                        assert!(mesh.triangles.len() <= 22, "byte {at}");
                     }
                 }
                 assert!(houdini::read_mesh(bytes[..at].to_vec().into()).is_err());
@@ -745,10 +745,9 @@ fn a_written_bgeo_sc_contains_points_with_all_attributes() {
             assert!(
                 positions(&file).iter().all(|p| (0..3).all(|i| low[i] <= p[i] && p[i] <= high[i]))
             );
-            // The mesh itself is read back, with triangles that start at another corner.
+            // The mesh itself is read back.
             let read = read_mesh(&path).unwrap();
-            let turned = mesh.triangles.iter().map(|&[a, b, c]| [b, c, a]);
-            assert!(read.triangles == turned.collect::<Vec<_>>());
+            assert!(read.triangles == mesh.triangles);
             assert!(read.positions == expected && read.normals == mesh.normals);
             assert!(read.attributes[0] == mesh.attributes[0]);
         }
@@ -767,6 +766,20 @@ fn a_written_bgeo_sc_is_independent_of_the_number_of_threads() {
         bytes
     };
     assert!(written(1) == written(3));
+}
+
+#[test]
+fn the_up_axis_of_a_bgeo_sc_is_recorded_in_its_comment() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.bgeo.sc");
+    for (up, recorded) in [(UpAxis::Y, None), (UpAxis::Z, Some(UpAxis::Z))] {
+        let mut bytes = Vec::new();
+        let ball = sphere(1.0, 2);
+        let mesh = TurnedMesh::new(&ball, up, up);
+        MeshFormat::BgeoSc.write(&mut bytes, &mesh, CoordinateWidth::F32).unwrap();
+        std::fs::write(&path, bytes).unwrap();
+        assert_eq!(recorded_up(&path), recorded);
+    }
 }
 
 #[test]

@@ -228,9 +228,31 @@ fn films_on_a_floor_stay_whole_at_several_floor_heights() {
             let film = film(layers, stretch, &mut Random::new(5));
             let particles: Vec<_> = film.into_iter().map(raised).collect();
             let open = f64::INFINITY;
-            let request = of_cells(cell).domain([-open, floor, -open], [open; 3]);
+            let request = of_cells(cell).origin([0.0; 3]).domain([-open, floor, -open], [open; 3]);
             let what = format!("{layers} layers, {stretch}, cells of {cell}, floor at {floor}");
             assert_whole(&request, &particles, 0.85..1.5, &what);
+        }
+    }
+}
+
+#[test]
+fn the_height_of_the_floor_does_not_change_a_film() {
+    let open = f64::INFINITY;
+    for (layers, stretch) in FILMS {
+        for cell in [0.5, 0.25] {
+            let volume = |floor: f64| {
+                let film = film(layers, stretch, &mut Random::new(5));
+                let raised: Vec<_> = film.into_iter().map(|[x, y, z]| [x, y + floor, z]).collect();
+                let request = of_cells(cell).domain([-open, floor, -open], [open; 3]);
+                let what = format!("{layers} layers, {stretch}, cells of {cell}, floor at {floor}");
+                assert_whole(&request, &raised, 0.9..1.3, &what);
+                measures_of(&request, &raised).volume.unwrap()
+            };
+            let at_zero = volume(0.0);
+            for floor in [0.07, 0.125, 0.25, 0.37, 0.85, -1.3] {
+                let ratio = volume(floor) / at_zero;
+                assert!((ratio - 1.0).abs() < 0.002, "{layers}, {stretch}, {cell}: {ratio}");
+            }
         }
     }
 }

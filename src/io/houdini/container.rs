@@ -79,6 +79,17 @@ pub fn unpack(bytes: Bytes, unpacking: Unpacking) -> Result<PrivateBytes, ReadFa
     Ok(unpacked)
 }
 
+/// Unpacks the first chunk of a container.
+///
+/// # Errors
+/// The errors of [`unpack`] for damaged files.
+pub fn first_chunk(view: ByteView) -> Result<Vec<u8>, ReadFault> {
+    let chunks = Chunks::of(view)?;
+    let mut chunk = vec![0; chunks.total().min(chunks.chunk_size) as usize];
+    chunks.unpack(0, &mut chunk, Unpacking::in_memory())?;
+    Ok(chunk)
+}
+
 impl<'a> Chunks<'a> {
     fn of(view: ByteView<'a>) -> Result<Self, ReadFault> {
         let len = view.len() as u64;

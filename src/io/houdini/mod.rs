@@ -42,6 +42,20 @@ const HEAD: usize = 64;
 /// Size, in bytes, of a position of three f32 numbers.
 const POSITION: u64 = 12;
 
+/// The first bytes of a geometry file, unpacked if they are in a container. Empty for a damaged
+/// container.
+pub(super) fn first_bytes(view: ByteView, count: usize) -> Vec<u8> {
+    let mut first = match view.read(0..view.len().min(count)) {
+        Ok(head) if head.starts_with(container::MAGIC) => {
+            container::first_chunk(view).unwrap_or_default()
+        }
+        Ok(head) => head.into_owned(),
+        Err(_) => Vec::new(),
+    };
+    first.truncate(count);
+    first
+}
+
 /// The form of a geometry file.
 enum GeometryForm {
     Classic,
@@ -140,8 +154,12 @@ pub fn read_mesh(bytes: Bytes) -> Result<Mesh, ReadFault> {
             "meshes in the classic .bgeo format are not supported; save the mesh as .bgeo.sc";
         return Err(ReadFault::Unsupported(what.to_owned()));
     }
-    let opened = OpenedGeometry::of(bytes, form, unpacking, WantedParts::PointsAndPolygons)?;
+    // The polygons are read several times, so other programs must not change them meanwhile.
+    let bytes = Bytes::Kept(bytes.read_whole(unpacking)?);
+    let mut opened = OpenedGeometry::of(bytes, form, unpacking, WantedParts::PointsAndPolygons)?;
     let triangles = opened.triangles()?;
+    // A mesh has no text attributes.
+    opened.geometry.attributes.retain(|attribute| attribute.texts.is_none());
     let points = opened.arrange(None, WantedAttributes::All, unpacking)?.particles;
     Ok(mesh_of(&points, "N", triangles))
 }
@@ -244,10 +262,15 @@ impl OpenedGeometry {
         let others = Primitives::new(others.map(|(kind, count)| (&**kind, *count)), 0);
         if !others.kinds.is_empty() {
             let what = format!(
-                "only polygons can be read as a mesh, and the file contains {}; convert them \
-                 to polygons, for example with a Convert SOP or an Unpack SOP",
-                others.counted()
+                "only polygons can be read as a mesh, and the file contains {}; {}",
+                others.counted(),
+                others.mesh_remedy()
             );
+            return Err(ReadFault::Unsupported(what));
+        }
+        let mut polygons = geometry.polygons.iter().flat_map(|polygons| polygons.iter());
+        if geometry.points > 0 && polygons.next().is_none() {
+            let what = format!("the file contains no polygons, only {} points", geometry.points);
             return Err(ReadFault::Unsupported(what));
         }
         let mut triangles = Triangles::new(geometry.points as usize)?;
@@ -257,8 +280,10 @@ impl OpenedGeometry {
         let polygons = geometry.polygons.iter().flat_map(|polygons| polygons.iter());
         for (number, vertices) in polygons.enumerate() {
             // In Houdini, polygons are clockwise as seen from outside.
+            let Some((first, others)) = vertices.split_first() else { continue };
+            let reversed = [first].into_iter().chain(others.iter().rev());
             corners.clear();
-            corners.extend(vertices.iter().rev().map(|&vertex| points[vertex as usize]));
+            corners.extend(reversed.map(|&vertex| points[vertex as usize]));
             triangles.polygon(number, 0, &corners)?;
         }
         Ok(triangles.triangles)

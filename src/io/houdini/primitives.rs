@@ -51,13 +51,33 @@ impl Primitives {
         self.kinds.iter().map(counted).collect::<Vec<_>>().join(", ")
     }
 
+    /// Whether any kind has a name that satisfies `is_kind`.
+    fn any_kind(&self, is_kind: fn(&str) -> bool) -> bool {
+        self.kinds.iter().any(|(kind, _)| is_kind(kind))
+    }
+
+    /// Whether there is packed geometry.
+    fn has_packed(&self) -> bool {
+        self.any_kind(|kind| kind.starts_with("Packed") || kind.starts_with("AlembicRef "))
+    }
+
+    /// Advice for a message: how to make polygons of the primitives.
+    pub(super) fn mesh_remedy(&self) -> &'static str {
+        if self.has_packed() {
+            "unpack packed geometry with an Unpack SOP before saving"
+        } else if self.any_kind(|kind| kind.ends_with("volume")) {
+            "convert volumes to polygons with a Convert Volume SOP or a Convert VDB SOP"
+        } else {
+            "convert them to polygons with a Convert SOP"
+        }
+    }
+
     /// Advice for a message: how to get particles from a geometry that contains only primitives.
     #[must_use]
     pub fn remedy(&self) -> &'static str {
-        let has = |is_kind: fn(&str) -> bool| self.kinds.iter().any(|(kind, _)| is_kind(kind));
-        if has(|kind| kind.starts_with("Packed") || kind.starts_with("AlembicRef ")) {
+        if self.has_packed() {
             "unpack packed geometry with an Unpack SOP before saving"
-        } else if has(|kind| kind.ends_with("volume")) {
+        } else if self.any_kind(|kind| kind.ends_with("volume")) {
             "volumes are not particles, but a Points from Volume SOP makes particles from a volume"
         } else {
             "to use points of primitives as particles, delete the primitives but keep the points \

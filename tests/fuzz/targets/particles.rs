@@ -14,7 +14,7 @@ use meniscus::internals::particles::Particles;
 use zip::CompressionMethod;
 
 use super::build::houdini::{
-    Codec, Container, Form, Layout, Value, cloud, geometry, keyed, numeric, strings, text,
+    Codec, Container, Form, Layout, Value, cloud, cubes, geometry, keyed, numeric, strings, text,
 };
 use super::build::{self, Bi4, VtkXml, tuples};
 use super::{Target, meshes};
@@ -141,7 +141,21 @@ const GEOMETRY: &[&str] = &[
     "primitives",
     "type",
     "run",
+    "runtype",
+    "varyingfields",
+    "uniformfields",
+    "closed",
+    "Poly",
+    "p_r",
+    "s_v",
     "n_p",
+    "n_v",
+    "r_v",
+    "Polygon_run",
+    "startvertex",
+    "nprimitives",
+    "nvertices",
+    "nvertices_rle",
     "vertex",
     "Part",
     "PackedGeometry",
@@ -404,7 +418,7 @@ fn geometries() -> Vec<Vec<u8>> {
     );
     let plain = cloud(3, vec![position(Layout::Arrays)]);
     let documents = |value: Value| Form::ALL.map(|form| value.document(form));
-    [whole, plain].into_iter().flat_map(documents).collect()
+    [whole, plain].into_iter().chain(cubes()).flat_map(documents).collect()
 }
 
 fn containers() -> Vec<Vec<u8>> {

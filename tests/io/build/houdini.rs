@@ -481,3 +481,67 @@ impl Container {
         }
     }
 }
+
+/// A primitive of a kind, with its data.
+pub fn primitive(kind: &str, data: Vec<(&str, Value)>) -> Value {
+    Value::List(vec![keyed(vec![("type", text(kind))]), keyed(data)])
+}
+
+/// The corners of the sides of a cube with the points 0 to 7, where point n has the coordinates n &
+/// 1, n >> 1 & 1 and n >> 2. As in Houdini, corners are clockwise as seen from outside.
+pub const SIDES: [[u32; 4]; 6] =
+    [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+
+/// The sides of a cube, as single polygons, as a run that lists the corners of each polygon, and as
+/// runs of consecutive corners. An open polygon and a curve go along one side.
+pub fn cubes() -> Vec<Value> {
+    let corners = |first: usize, count: usize| {
+        Value::Numbers("int32", (first..first + count).map(|corner| corner as f64).collect())
+    };
+    let closed = |closed: bool| Value::Map(vec![text("closed"), Value::Bool(closed)]);
+    let run = |varying: &[&str], uniform: Value, polygons: Vec<Value>| {
+        let varying = Value::List(varying.iter().map(|name| text(name)).collect());
+        let kind = keyed(vec![
+            ("type", text("run")),
+            ("runtype", text("Poly")),
+            ("varyingfields", varying),
+            ("uniformfields", uniform),
+        ]);
+        Value::List(vec![kind, Value::List(polygons)])
+    };
+    let of_run = |kind: &str, sizes: (&str, Vec<f64>), count: i64| {
+        let start = if kind == "p_r" { ["s_v", "n_p"] } else { ["startvertex", "nprimitives"] };
+        let sizes = (sizes.0, Value::Numbers("uint8", sizes.1));
+        let data = vec![(start[0], Value::Integer(0)), (start[1], Value::Integer(count)), sizes];
+        primitive(kind, data)
+    };
+    let curve = of_run("PolygonCurve_run", ("nvertices", vec![4.0]), 1);
+    let open = primitive("Poly", vec![("vertex", corners(0, 4)), ("closed", Value::Bool(false))]);
+    let single = |side: usize| {
+        primitive("Poly", vec![("closed", Value::Bool(true)), ("vertex", corners(4 * side, 4))])
+    };
+    let lone = |side: usize| Value::List(vec![corners(4 * side, 4)]);
+    let marked = |(side, is_closed): (usize, bool)| {
+        Value::List(vec![Value::Bool(is_closed), corners(4 * side, 4)])
+    };
+    let sides = 0..6;
+    let some_open = sides.clone().map(|side| (side, true)).chain([(2, false)]);
+    let geometries = vec![
+        sides.clone().map(single).chain([open, curve.clone()]).collect(),
+        vec![
+            run(&["vertex"], closed(true), sides.clone().map(lone).collect()),
+            run(&["vertex"], closed(false), sides.map(lone).collect()),
+        ],
+        vec![run(&["closed", "vertex"], Value::Map(Vec::new()), some_open.map(marked).collect())],
+        vec![of_run("Polygon_run", ("nvertices_rle", vec![4.0, 2.0, 4.0, 4.0]), 6), curve],
+        vec![of_run("p_r", ("n_v", vec![4.0; 6]), 6)],
+    ];
+    let vertices: Vec<f64> = SIDES.as_flattened().iter().map(|&point| f64::from(point)).collect();
+    let points: Vec<f64> =
+        (0..8).flat_map(|n| [n & 1, n >> 1 & 1, n >> 2]).map(f64::from).collect();
+    let geometries = geometries.into_iter().map(|primitives: Vec<Value>| {
+        let position = numeric("P", "fpreal32", 3, &points, &Layout::Pages(1024, vec![3]));
+        geometry(8, vec![position], &vertices, primitives)
+    });
+    geometries.collect()
+}

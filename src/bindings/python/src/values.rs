@@ -128,7 +128,7 @@ impl<'py> Source for Keyword<'_, 'py> {
     /// as a list of letters.
     fn names(&self) -> PyResult<Vec<String>> {
         if self.value.is_instance_of::<PyString>() {
-            return Err(self.type_error("a list of names"));
+            return Err(self.type_error("a list of names or paths"));
         }
         let name = |name: PyResult<Bound<'py, PyAny>>| {
             let name = name?;
@@ -142,7 +142,7 @@ impl<'py> Source for Keyword<'_, 'py> {
         let names = self.value.try_iter().and_then(|names| names.map(name).collect());
         names.map_err(|error: PyErr| match error.is_instance_of::<InputError>(self.value.py()) {
             true => error,
-            false => self.type_error("a list of names"),
+            false => self.type_error("a list of names or paths"),
         })
     }
 

@@ -54,7 +54,7 @@ def test_attributes_must_be_named_in_the_constructor(pool: Any) -> None:
         simulation.frame(pool, velocity=pool, attributes={"heat": pool[:, 0]})
     with pytest.raises(meniscus.InputError, match='no attribute "heat"'):
         simulation.frame(pool)
-    with pytest.raises(TypeError, match="attributes: must be a list of names, not str"):
+    with pytest.raises(TypeError, match="attributes: must be a list of names or paths, not str"):
         meniscus.Simulation(attributes="heat")
     assert set(meniscus.Simulation().frame(pool, velocity=pool).attributes) == {"velocity"}
 

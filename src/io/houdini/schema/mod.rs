@@ -17,7 +17,7 @@ use crate::particles::sieve::Sieve;
 
 use super::json::{Json, JsonEvent, JsonNumber, JsonNumbers, Storage};
 pub use polygons::Polygons;
-use polygons::{RunFields, is_polygon};
+use polygons::{RunFields, is_polygon, is_smooth_curve};
 
 /// Maximum number of components of an attribute. Attributes with more components, such as spectra,
 /// are left out.
@@ -200,6 +200,7 @@ struct GeometryHead {
     points: Option<u64>,
     vertex_points: Option<NumberRun>,
     attributes: Option<Vec<HoudiniAttribute>>,
+    has_primitives: bool,
     kinds: BTreeMap<Rc<str>, u64>,
     particle_vertices: Vec<u64>,
     time: Option<f64>,
@@ -218,7 +219,10 @@ struct SchemaReader<'j, 'v, 'u> {
 impl SchemaReader<'_, '_, '_> {
     fn part(&mut self, key: &str, head: &mut GeometryHead) -> Result<(), ReadFault> {
         match key {
-            "pointcount" => head.points = Some(self.count("pointcount")?),
+            "pointcount" => {
+                self.refuse_repeated(key, head.points.is_some())?;
+                head.points = Some(self.count(key)?);
+            }
             "info" => {
                 // Read only the time, and skip all other values.
                 let first = self.json.next()?;
@@ -239,6 +243,7 @@ impl SchemaReader<'_, '_, '_> {
             "topology" => self.entries("the topology", |reader, key| match key {
                 "pointref" => reader.entries("pointref", |reader, key| match key {
                     "indices" => {
+                        reader.refuse_repeated(key, head.vertex_points.is_some())?;
                         let run = reader.numbers("indices", Storage::Scalar(Scalar::I64))?;
                         head.vertex_points = Some(run);
                         Ok(())
@@ -254,16 +259,30 @@ impl SchemaReader<'_, '_, '_> {
                 })?;
                 self.entries("the attributes", |reader, key| match key {
                     "pointattributes" => {
+                        reader.refuse_repeated(key, head.attributes.is_some())?;
                         head.attributes = Some(reader.attributes(points)?);
                         Ok(())
                     }
                     _ => reader.skip_value(),
                 })?;
             }
-            "primitives" => self.primitives(head)?,
+            "primitives" => {
+                self.refuse_repeated(key, head.has_primitives)?;
+                head.has_primitives = true;
+                self.primitives(head)?;
+            }
             _ => self.skip_value()?,
         }
         Ok(())
+    }
+
+    /// Returns an error if the part `key` was read before. Later parts were checked against the
+    /// earlier one.
+    fn refuse_repeated(&self, key: &str, is_repeated: bool) -> Result<(), ReadFault> {
+        match is_repeated {
+            true => Err(self.json.fault(format!("the geometry contains {key} twice"))),
+            false => Ok(()),
+        }
     }
 
     /// Reads a list or map of entries. Calls `take` with each key. `take` must read the value.
@@ -472,7 +491,7 @@ impl SchemaReader<'_, '_, '_> {
         let vertices = head.vertex_points.map_or(0, |run| run.numbers.count);
         if self.polygons.is_some() && vertices > u32::MAX.into() {
             let what =
-                format!("{vertices} vertices are too many for a mesh, which has fewer than 2^32");
+                format!("the polygons have {vertices} corners, but at most 2^32 - 1 can be read");
             return Err(ReadFault::Unsupported(what));
         }
         self.pairs("the primitives", |reader| {
@@ -499,6 +518,21 @@ impl SchemaReader<'_, '_, '_> {
                     true => reader.run_of_polygons(&fields, vertices)?,
                     false => reader.polygons(&kind, vertices)?,
                 };
+                add_kind(&mut head.kinds, kind, count);
+                return Ok(());
+            }
+            if reader.polygons.is_some() && is_smooth_curve(&kind) {
+                let mut closed = fields.closed;
+                if is_run {
+                    count = reader.items()?;
+                } else {
+                    reader.entries("a curve", |reader, key| {
+                        reader.truth_of_closed(key, &mut closed)
+                    })?;
+                }
+                // A closed curve is a filled face.
+                let is_face = closed != Some(false);
+                let kind = if is_face { format!("closed {kind}").into() } else { kind };
                 add_kind(&mut head.kinds, kind, count);
                 return Ok(());
             }
@@ -554,6 +588,9 @@ impl SchemaReader<'_, '_, '_> {
 
 /// Adds `count` primitives of a kind.
 fn add_kind(kinds: &mut BTreeMap<Rc<str>, u64>, kind: Rc<str>, count: u64) {
+    if count == 0 {
+        return;
+    }
     let is_known = kinds.len() < MOST_KINDS || kinds.contains_key(&kind);
     let kind = if is_known { kind } else { "other".into() };
     let all = kinds.entry(kind).or_default();

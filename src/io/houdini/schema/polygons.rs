@@ -5,7 +5,7 @@ use std::rc::Rc;
 
 use super::{SchemaReader, shown};
 use crate::io::ReadFault;
-use crate::io::houdini::json::{JsonEvent, JsonNumber, JsonNumbers};
+use crate::io::houdini::json::{JsonEvent, JsonNumber, JsonNumbers, Storage};
 
 /// The closed polygons of a geometry.
 #[derive(Debug, Default)]
@@ -41,6 +41,11 @@ pub(super) struct RunFields {
     pub(super) varying: Vec<Rc<str>>,
     /// Whether all polygons are closed, if the file says so for the whole run.
     pub(super) closed: Option<bool>,
+}
+
+/// Whether `kind` is a name of curves that are not polygons.
+pub(super) fn is_smooth_curve(kind: &str) -> bool {
+    matches!(kind, "NURBCurve" | "BezierCurve")
 }
 
 /// Whether `kind` is a name of polygons. Open polygons are curves: in runs they have another name,
@@ -93,7 +98,11 @@ impl SchemaReader<'_, '_, '_> {
     }
 
     /// Reads the value of the entry `closed`, and skips the value of any other entry.
-    fn truth_of_closed(&mut self, key: &str, closed: &mut Option<bool>) -> Result<(), ReadFault> {
+    pub(super) fn truth_of_closed(
+        &mut self,
+        key: &str,
+        closed: &mut Option<bool>,
+    ) -> Result<(), ReadFault> {
         if key != "closed" {
             return self.skip_value();
         }
@@ -109,11 +118,15 @@ impl SchemaReader<'_, '_, '_> {
     /// number of vertices of the geometry. Returns the number of polygons.
     pub(super) fn polygons(&mut self, kind: &str, vertices: u64) -> Result<u64, ReadFault> {
         if kind == "Poly" {
-            let mut closed = None;
+            let (mut closed, mut lists) = (None, 0);
             self.entries("a polygon", |reader, key| match key {
-                "vertex" => reader.corners(vertices),
+                "vertex" => {
+                    lists += 1;
+                    reader.corners(vertices)
+                }
                 _ => reader.truth_of_closed(key, &mut closed),
             })?;
+            self.require_one_list(lists)?;
             self.end_polygon(closed);
             return Ok(1);
         }
@@ -126,33 +139,31 @@ impl SchemaReader<'_, '_, '_> {
                 "nvertices" | "n_v" | "nvertices_rle" | "r_v" => {
                     is_rle = matches!(key, "nvertices_rle" | "r_v");
                     sizes.clear();
-                    let mut is_whole = true;
-                    reader.each(|number| match number {
-                        JsonNumber::Integer(size @ 0..) => sizes.push(size as u64),
-                        _ => is_whole = false,
-                    })?;
-                    if !is_whole {
-                        return Err(reader.json.fault(format!("{key} must be whole numbers")));
-                    }
+                    let most = vertices.saturating_mul(2).saturating_add(2);
+                    reader.whole_numbers(key, most, |size| sizes.push(size))?;
                 }
                 _ => reader.skip_value()?,
             }
             Ok(())
         })?;
         // Pairs of a number of corners and a number of polygons.
-        let pairs: Vec<[u64; 2]> = if is_rle {
-            sizes.as_chunks::<2>().0.to_vec()
-        } else {
-            sizes.into_iter().map(|size| [size, 1]).collect()
+        let pair = |pair: &[u64]| match *pair {
+            [size, repeated] => [size, repeated],
+            [size] if !is_rle => [size, 1],
+            _ => [u64::MAX; 2],
         };
+        let pairs = || sizes.chunks(if is_rle { 2 } else { 1 }).map(pair);
         let sum = |of: &dyn Fn([u64; 2]) -> Option<u64>| {
-            pairs.iter().try_fold(0_u64, |sum, &pair| sum.checked_add(of(pair)?))
+            pairs().try_fold(0_u64, |sum, pair| sum.checked_add(of(pair)?))
         };
-        let end = sum(&|[size, polygons]| size.checked_mul(polygons))
-            .and_then(|corners| corners.checked_add(first));
-        if sum(&|[_, polygons]| Some(polygons)) != Some(count)
+        let corners = sum(&|[size, repeated]| size.checked_mul(repeated));
+        let end = corners.and_then(|corners| corners.checked_add(first));
+        // Every vertex is the corner of one polygon.
+        let known = self.polygons.as_ref().map_or(0, |polygons| polygons.corners.len() as u64);
+        let all = corners.and_then(|corners| corners.checked_add(known));
+        if sum(&|[_, repeated]| Some(repeated)) != Some(count)
             || end.is_none_or(|end| end > vertices)
-            || pairs.iter().any(|[size, _]| *size == 0)
+            || all.is_none_or(|all| all > vertices)
         {
             let what = format!(
                 "a run of {count} polygons does not fit the {vertices} vertices of the geometry"
@@ -161,7 +172,8 @@ impl SchemaReader<'_, '_, '_> {
         }
         let Some(polygons) = &mut self.polygons else { return Ok(count) };
         let mut next = first as u32;
-        for [size, repeated] in pairs {
+        // Polygons without corners have no surface.
+        for [size, repeated] in pairs().filter(|[size, _]| *size > 0) {
             for _ in 0..repeated {
                 polygons.corners.extend(next..next + size as u32);
                 polygons.end();
@@ -171,6 +183,14 @@ impl SchemaReader<'_, '_, '_> {
         Ok(count)
     }
 
+    /// Returns an error unless a polygon has exactly one list of corners.
+    fn require_one_list(&self, lists: usize) -> Result<(), ReadFault> {
+        match lists {
+            1 => Ok(()),
+            _ => Err(self.json.fault(format!("a polygon has {lists} lists of vertices, not 1"))),
+        }
+    }
+
     /// Reads the data of a run that lists the fields of each polygon. Returns the number of
     /// polygons.
     pub(super) fn run_of_polygons(
@@ -178,6 +198,7 @@ impl SchemaReader<'_, '_, '_> {
         fields: &RunFields,
         vertices: u64,
     ) -> Result<u64, ReadFault> {
+        self.require_one_list(fields.varying.iter().filter(|field| &***field == "vertex").count())?;
         match self.json.next()? {
             JsonEvent::List => {}
             JsonEvent::Numbers(JsonNumbers { count: 0, .. }) => return Ok(0),
@@ -223,19 +244,73 @@ impl SchemaReader<'_, '_, '_> {
     /// Reads the corners of a polygon.
     fn corners(&mut self, vertices: u64) -> Result<(), ReadFault> {
         let mut invalid = None;
-        let mut corners = std::mem::take(&mut self.polygons).unwrap_or_default();
-        self.each(|number| match number {
-            JsonNumber::Integer(vertex @ 0..) if (vertex as u64) < vertices => {
-                corners.corners.push(vertex as u32);
+        let mut polygons = self.polygons.take().unwrap_or_default();
+        // Every vertex is the corner of one polygon.
+        let most = vertices.saturating_sub(polygons.corners.len() as u64);
+        self.whole_numbers("a polygon", most, |vertex| {
+            if vertex < vertices {
+                polygons.corners.push(vertex as u32);
+            } else {
+                invalid = invalid.or(Some(vertex));
             }
-            number => invalid = invalid.or(Some(number)),
         })?;
-        self.polygons = Some(corners);
+        self.polygons = Some(polygons);
         match invalid {
             None => Ok(()),
-            Some(number) => Err(self.json.fault(format!(
-                "a polygon has vertex {number}, but there are {vertices} vertices, numbered from 0"
+            Some(vertex) => Err(self.json.fault(format!(
+                "a polygon has vertex {vertex}, but there are {vertices} vertices, numbered from 0"
             ))),
         }
+    }
+
+    /// Calls `take` with each number of a list. The list must contain at most `most` numbers, all
+    /// of them whole and not negative.
+    fn whole_numbers(
+        &mut self,
+        what: &str,
+        most: u64,
+        mut take: impl FnMut(u64),
+    ) -> Result<(), ReadFault> {
+        let (bytes, endian) = self.document;
+        let mut count = 0;
+        let mut check = |number: JsonNumber| -> Result<(), String> {
+            count += 1;
+            match number {
+                _ if count > most => Err(format!("{what} has too many numbers for the geometry")),
+                JsonNumber::Integer(whole @ 0..) => {
+                    take(whole as u64);
+                    Ok(())
+                }
+                number => Err(format!("{what} contains {number}, not a whole number from 0")),
+            }
+        };
+        let checked = match self.json.next()? {
+            JsonEvent::Numbers(JsonNumbers { storage: Storage::Bits, .. }) => {
+                Err(format!("{what} cannot be an array of booleans"))
+            }
+            JsonEvent::Numbers(numbers) => {
+                let mut checked = Ok(());
+                numbers.each(bytes, endian, |number| {
+                    if checked.is_ok() {
+                        checked = check(number);
+                    }
+                    Ok(())
+                })?;
+                checked
+            }
+            JsonEvent::List => loop {
+                let checked = match self.json.next()? {
+                    JsonEvent::End => break Ok(()),
+                    JsonEvent::Integer(whole) => check(JsonNumber::Integer(whole)),
+                    JsonEvent::Real(real) => check(JsonNumber::Real(real)),
+                    other => Err(format!("{what} contains {}", shown(&other))),
+                };
+                if checked.is_err() {
+                    break checked;
+                }
+            },
+            other => Err(format!("expected numbers for {what}, found {}", shown(&other))),
+        };
+        checked.map_err(|what| self.json.fault(what))
     }
 }
