@@ -26,7 +26,7 @@ var<immediate> push: JoinPush;
 // and the shares of drops.
 @group(0) @binding(3) var<storage, read> near: array<u32>;
 @group(0) @binding(4) var<storage, read> shares: array<u32>;
-// For shares from 0 to 1, the distance from the middle of a normal density at which the density is
+// For each share from 0 to 1, the distance from the middle of a Gaussian at which the Gaussian is
 // this share of its maximum.
 @group(0) @binding(5) var<storage, read> away: array<i32>;
 // The certainty of sheets, on the cells of the parts.

@@ -185,8 +185,8 @@ impl PaperFilters {
 /// The shares of drops, blended with the shares of sheets, and the certainty of the sheets.
 #[derive(Debug, Clone)]
 pub struct ThinShares<T> {
-    /// The shares, in 32768ths. The share of a drop is N of step 4 in
-    /// [`distance`](crate::field::distance).
+    /// The shares, in 32768ths. The share of a drop is the number that step 4 in
+    /// [`distance`](crate::field::distance) calls N.
     pub shares: T,
     /// The certainty of the sheets, if there are any.
     pub certainty: Option<T>,

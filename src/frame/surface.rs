@@ -65,7 +65,7 @@ pub(super) fn cube_by_cube<'a>(
     })
 }
 
-/// A field with everything that is needed to mesh the field, for every method.
+/// A field with everything that is needed to mesh it, whichever method computed the field.
 pub(super) struct ExtractableField<'a> {
     /// The parts of blocks that the surface can pass through, in Morton order.
     pub(super) regions: Vec<LevelRegion>,

@@ -45,7 +45,8 @@ pub struct Needs {
     /// Additional bytes for simplifying, if it is requested: first the bytes that must be in
     /// memory, then the bytes that can be in memory or in scratch files.
     pub simplifying: Option<[u64; 2]>,
-    /// Additional memory, in bytes, of the writer, if it needs memory beyond the limit.
+    /// The memory, in bytes, that the writer needs in addition to the memory limit; `None` if the
+    /// limit includes it.
     pub writing: Option<u64>,
     /// Approximate number of triangles before simplifying: exact for a small frame, estimated from
     /// the counted particles for a large one.

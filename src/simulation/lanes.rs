@@ -39,8 +39,8 @@ impl Division {
         Self {
             lanes,
             threads: (threads / lanes).max(1),
-            // While one frame computes alone with three quarters of the budget, each lane may hold
-            // an open frame, so the lanes share the last quarter.
+            // A large frame is meshed alone, with three quarters of the budget. Meanwhile, every
+            // lane may have opened its next frame, so the lanes share the last quarter.
             opening: part(budget.0 / 4 / lanes as u64),
             share: part(budget.0 / 4 * 3 / lanes as u64),
             alone: part(budget.0 / 4 * 3),

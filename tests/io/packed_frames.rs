@@ -357,7 +357,8 @@ fn small_sizes(folder: &Folder) -> Vec<u8> {
         (0..24_u32).map(|i| [i % 3, i / 3 % 3, i / 9].map(|c| f64::from(c) * 0.9 + 0.3)).collect();
     let sizes: Vec<f32> = (0..24_u8).map(|i| [1.0, 1.0, 2.0, 3.0][usize::from(i % 4)]).collect();
     let cloud = Cloud::new(&positions).with("size", &sizes);
-    let request = Reconstruction::new().size("size").cell(0.8).domain([-4.0; 3], [9.0; 3]);
+    let request = Reconstruction::new().size("size").cell(0.8);
+    let request = request.origin([0.0; 3]).domain([-4.0; 3], [9.0; 3]);
     let path = folder.0.path().join("sizes.mnf");
     let output = request.packed_output(&path, Replace::Allow).unwrap();
     request.sample(&cloud).unwrap().pack(output).unwrap();

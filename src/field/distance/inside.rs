@@ -137,8 +137,8 @@ fn cube_parts(edge: f64) -> i32 {
 
 impl InsideBricks {
     /// The distance from a brick, in wide cells, within which cells affect whether the brick is
-    /// inside. `edge` is the edge of a wide cell in spacings. The brick's neighbours must be full,
-    /// which depends on every cube that overlaps a neighbour.
+    /// inside. `edge` is the edge of a wide cell in spacings. A brick is inside only if its
+    /// neighbours are full, and every cube that overlaps a neighbour affects whether it is full.
     pub fn reach(edge: f64) -> i32 {
         BRICK + PART * (cube_parts(edge) - 1)
     }

@@ -46,7 +46,8 @@ impl Level for ZeroLevel {
 
     #[inline]
     fn ends(self, lower: f64, upper: f64) -> [u16; 2] {
-        // If one end is a ghost point, both ends have the same value, and the vertex is halfway.
+        // A ghost point mirrors a sample across a wall, and counts as outside although it has the
+        // same value. The vertex is then halfway, on the wall.
         let fraction = if lower == upper { 0.5 } else { lower / (lower - upper) };
         // The conversion saturates, so the fraction stays below 1. A fraction of 0 would put the
         // vertex on the sample, so the least fraction is one step.

@@ -152,7 +152,7 @@ struct PartSums {
 /// The parts of one piece.
 struct PieceParts {
     parts: Vec<PartSums>,
-    /// The part of each of the piece's vertices.
+    /// For each vertex of the piece, the index of its part in `parts`.
     part_of: Vec<u32>,
     /// Vertices that belong to other pieces. Each is paired with the number of a part of this piece
     /// that uses it.

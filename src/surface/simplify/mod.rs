@@ -531,7 +531,7 @@ struct ChunkVertices {
     ranges: Vec<[u64; 3]>,
     /// The lower cell of each vertex's edge.
     cells: Vec<IVec3>,
-    /// Positions in cells, all different. They are relative to a corner near the first vertex.
+    /// Positions, in units of cells, relative to a corner near the first vertex. No two are equal.
     positions: Vec<Vec3A>,
 }
 

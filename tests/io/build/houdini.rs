@@ -516,7 +516,7 @@ pub fn cubes() -> Vec<Value> {
         primitive(kind, data)
     };
     let curve = of_run("PolygonCurve_run", ("nvertices", vec![4.0]), 1);
-    let open = primitive("Poly", vec![("vertex", corners(0, 4)), ("closed", Value::Bool(false))]);
+    let open = primitive("Poly", vec![("vertex", corners(24, 4)), ("closed", Value::Bool(false))]);
     let single = |side: usize| {
         primitive("Poly", vec![("closed", Value::Bool(true)), ("vertex", corners(4 * side, 4))])
     };
@@ -525,18 +525,20 @@ pub fn cubes() -> Vec<Value> {
         Value::List(vec![Value::Bool(is_closed), corners(4 * side, 4)])
     };
     let sides = 0..6;
-    let some_open = sides.clone().map(|side| (side, true)).chain([(2, false)]);
+    let some_open = sides.clone().map(|side| (side, true)).chain([(6, false)]);
     let geometries = vec![
         sides.clone().map(single).chain([open, curve.clone()]).collect(),
         vec![
             run(&["vertex"], closed(true), sides.clone().map(lone).collect()),
-            run(&["vertex"], closed(false), sides.map(lone).collect()),
+            run(&["vertex"], closed(false), vec![lone(6)]),
         ],
         vec![run(&["closed", "vertex"], Value::Map(Vec::new()), some_open.map(marked).collect())],
         vec![of_run("Polygon_run", ("nvertices_rle", vec![4.0, 2.0, 4.0, 4.0]), 6), curve],
         vec![of_run("p_r", ("n_v", vec![4.0; 6]), 6)],
     ];
-    let vertices: Vec<f64> = SIDES.as_flattened().iter().map(|&point| f64::from(point)).collect();
+    // The corners of the open polygon and of the curve come last.
+    let corners = SIDES.as_flattened().iter().chain(&SIDES[0]);
+    let vertices: Vec<f64> = corners.map(|&point| f64::from(point)).collect();
     let points: Vec<f64> =
         (0..8).flat_map(|n| [n & 1, n >> 1 & 1, n >> 2]).map(f64::from).collect();
     let geometries = geometries.into_iter().map(|primitives: Vec<Value>| {

@@ -20,8 +20,8 @@ use crate::{Options, Outcome};
 
 pub const JITTER: f64 = 0.3;
 const SAMPLINGS: [(&str, f64); 2] = [("regular", 0.0), ("jittered", JITTER)];
-/// Isovalues are chosen on lattices with this number or a higher one. Results come from lattices
-/// with lower numbers.
+/// Lattices have numbers. Isovalues are chosen on lattices from this number on, and results come
+/// from lattices with lower numbers.
 const CHOOSING: usize = 100;
 /// Radius of the balls whose volume is measured.
 const RADIUS: f64 = 5.0;
