@@ -529,7 +529,7 @@ pub fn cubes() -> Vec<Value> {
     let geometries = vec![
         sides.clone().map(single).chain([open, curve.clone()]).collect(),
         vec![
-            run(&["vertex"], closed(true), sides.clone().map(lone).collect()),
+            run(&["vertex"], closed(true), sides.map(lone).collect()),
             run(&["vertex"], closed(false), vec![lone(6)]),
         ],
         vec![run(&["closed", "vertex"], Value::Map(Vec::new()), some_open.map(marked).collect())],
