@@ -549,7 +549,7 @@ impl SamplingRequest {
         });
         // The origin moves by whole steps, and only along axes on which the middle is farther than
         // `reach` from 0.
-        let step = ALIGNED_CELLS * size;
+        let step = self.walls.map_or(size, |_| ALIGNED_CELLS * size);
         let moved = middle
             .to_array()
             .map(|c| if c.abs() > reach { (c / step).round() * step } else { 0.0 });
