@@ -107,6 +107,7 @@ SAMPLES: dict[str, Any] = {
     "_Box": [-9.0, None, -9.0, 9.0, None, 9.0],
     "tuple[int, int]": (1, 2),
     "Iterable[str]": ["heat"],
+    "Iterable[_Path]": ["ball.obj", Path("box.obj")],
 }
 
 
