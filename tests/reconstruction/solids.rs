@@ -12,6 +12,7 @@ use meniscus::internals::field::indicator::IndicatorKind;
 use meniscus::internals::frame::{Engine, Method, Normals, Sampling, Surfacing};
 use meniscus::internals::grid::units::{MemoryBudget, SolidOffset};
 use meniscus::internals::grid::{Grid, Periodic};
+use meniscus::internals::io::CoordinateWidth;
 use meniscus::internals::surface::solid::Solid;
 use meniscus::internals::system::timings::Timings;
 use meniscus::internals::vulkan::DeviceOptions;
@@ -367,6 +368,25 @@ fn solid_offset_moves_the_contact_surface_and_inverted_solids_are_flipped() {
         let errors: Vec<f64> = under.map(|p| from_ball(p) - offset).collect();
         let (bias, rms) = mean_and_rms(&errors);
         assert!(bias.abs() < 0.03 && rms < 0.05, "{offset}: {bias}, {rms}");
+    }
+}
+
+#[test]
+fn a_solid_gives_the_same_water_in_each_format() {
+    let folder = tempfile::tempdir().unwrap();
+    let water = pool(0.2, from_ball);
+    let mesh_at = |name: &str| {
+        let path = folder.path().join(name);
+        let mut bytes = Vec::new();
+        let format = MeshFormat::of(&path).unwrap();
+        format.write(&mut bytes, &ball(), CoordinateWidth::F64).unwrap();
+        fs::write(&path, bytes).unwrap();
+        let request = request(0.5).solids([path.to_str().unwrap()]);
+        bytes_of(&request.run(&water[..]).unwrap())
+    };
+    let expected = mesh_at("ball.ply");
+    for name in ["ball.obj", "ball.vtp", "ball.bgeo.sc"] {
+        assert!(mesh_at(name) == expected, "{name}");
     }
 }
 
