@@ -60,7 +60,8 @@ const GROUP: u64 = 4;
 const GROUP_COLUMNS: usize = (GROUP * GROUP) as usize;
 /// The maximum number of examined groups per side; a larger side is sampled evenly.
 const MOST_GROUPS: u64 = 2048;
-/// The maximum distance, in spacings, of a group's first particle from the median of all groups.
+/// The maximum difference, in spacings, between the depth at which a group's particles begin and
+/// the median of these depths over all groups.
 const LEVEL: f64 = 0.15;
 /// At a wall, at least this share of the groups is within [`LEVEL`] of the median.
 const LEVEL_SHARE: f64 = 0.85;

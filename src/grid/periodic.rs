@@ -51,7 +51,8 @@ pub enum PeriodicMesh {
     /// The mesh ends on the faces, and is closed there as at the walls of a tank.
     #[default]
     Cut,
-    /// The mesh extends beyond the faces, by default about 12 spacings, so adjacent copies overlap.
+    /// The mesh extends beyond the faces (by about 12 spacings with default settings), so adjacent
+    /// copies overlap.
     Overlap,
 }
 

@@ -22,8 +22,8 @@ use super::expected::expected;
 /// phi(z), the density of the standard normal distribution at the surface.
 const DENSITY: f64 = 0.3978;
 
-/// The maximum distance, in cells, by which one step of the field may move a flat surface. Larger
-/// steps are visible in the shading.
+/// The maximum distance, in cells, by which a flat surface may move if a value of the field changes
+/// by its smallest step. Larger steps are visible in the shading.
 pub const COARSEST_STEP: f64 = 0.125;
 
 /// The largest cell size, in spacings, at which the symmetry indicator fails. At this size, seven

@@ -135,7 +135,8 @@ impl DistanceFilters {
             }
         });
         // The surface is extrapolated to a negative variance: minus half of the variance that the
-        // spline adds. Minus the full variance would overshoot for balls of a few spacings.
+        // spline adds. An extrapolation by the full variance would overshoot for small
+        // balls.
         let spline = if wide.level > 0 { SPLINE / 2.0 * (wide.edge * 4096.0).powi(2) } else { 0.0 };
         let share = |narrow: usize| {
             let [a, b] = [narrow, narrow + 1].map(|i| f64::from(widths[i].spacings).powi(2));

@@ -156,8 +156,8 @@ pub struct StandsOut {
     /// The distance, in units of the field, by which a sheet of full certainty stands out earlier
     /// than drops.
     pub earlier: u16,
-    /// The range of the difference between the fine and the calm surface in which sheets begin to
-    /// stand out earlier. In the bulk, the two surfaces agree.
+    /// The range of differences between the fine and the calm surface over which `earlier` takes
+    /// effect: not at its start, and fully at its end. In the bulk, the two surfaces agree.
     pub apart: Ramp,
 }
 

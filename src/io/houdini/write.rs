@@ -122,8 +122,8 @@ fn write_document(
     out.write_all(&tail.0)
 }
 
-/// Names of the attributes in the file. For a velocity and for the first colour, which the file
-/// stores as `v` and `Cd`, this function returns the original names.
+/// The name of each attribute in the file, except that a velocity and the first colour keep their
+/// original names here. The file stores them as `v` and `Cd`.
 pub fn attribute_names(attributes: &[AttributeInfo], has_normals: bool) -> Vec<String> {
     let mut taken: HashSet<String> = HashSet::from(["P".to_owned()]);
     taken.extend(has_normals.then(|| "N".to_owned()));

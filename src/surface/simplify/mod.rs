@@ -229,9 +229,9 @@ impl Scale {
         self.0 == 1
     }
 
-    /// The two opposite corner cells of a box that contains the cells of all vertices of a dual
-    /// cell. The cell of a vertex between two wide cells can begin one wide cell below the dual
-    /// cell.
+    /// Two opposite corners of a box of cells. The box contains the cells of all vertices of a dual
+    /// cell. If cells differ in size, the box begins one wide cell lower, because the cell of a
+    /// vertex between two wide cells can begin there.
     fn corners(self, cell: IVec3) -> [IVec3; 2] {
         if self.is_uniform() { [cell, cell + 1] } else { [cell - self.0, cell + 2 * self.0] }
     }
