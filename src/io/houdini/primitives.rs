@@ -4,12 +4,24 @@ use std::fmt;
 
 use serde::Serialize;
 
+/// Whether the file gives polygons this name. Single polygons and listed polygons can be open.
+pub(super) fn is_polygon(stored: &str) -> bool {
+    matches!(stored, "Poly" | "p_r" | "Polygon_run")
+}
+
+/// Whether the file gives runs of open polygons this name.
+fn is_polygon_curve(stored: &str) -> bool {
+    matches!(stored, "c_r" | "PolygonCurve_run")
+}
+
+/// Whether the file gives curves that are not polygons this name.
+pub(super) fn is_smooth_curve(stored: &str) -> bool {
+    matches!(stored, "NURBCurve" | "BezierCurve")
+}
+
 /// Whether primitives with this name in the file are polygons, or curves, which have no surface.
 pub(super) fn is_polygon_or_curve(stored: &str) -> bool {
-    matches!(
-        stored,
-        "Poly" | "p_r" | "Polygon_run" | "c_r" | "PolygonCurve_run" | "BezierCurve" | "NURBCurve"
-    )
+    is_polygon(stored) || is_polygon_curve(stored) || is_smooth_curve(stored)
 }
 
 /// Polygons, volumes and other primitives in a Houdini geometry, and the points that they use.
@@ -29,8 +41,8 @@ impl Primitives {
         let mut kinds: Vec<(String, u64)> = Vec::new();
         for (stored, count) in stored {
             let kind = match stored {
-                "Poly" | "p_r" | "Polygon_run" => "polygon".to_owned(),
-                "c_r" | "PolygonCurve_run" => "curve".to_owned(),
+                polygon if is_polygon(polygon) => "polygon".to_owned(),
+                curve if is_polygon_curve(curve) => "curve".to_owned(),
                 "Volume" => "volume".to_owned(),
                 "VDB" => "VDB volume".to_owned(),
                 other => format!("{other} primitive"),

@@ -296,8 +296,9 @@ impl Sides {
         voted
     }
 
-    /// Sets the sides of a column's voxels. Deep voxels get the sides from the vote. All other
-    /// voxels get the sides of the candidate that agrees with the vote at the most deep voxels.
+    /// Sets the sides of a column's voxels. For deep voxels, it takes the sides from the vote. For
+    /// the other voxels, it takes them from one of the candidates: from the one whose sides agree
+    /// with the vote at the largest number of deep voxels.
     fn apply_vote(&mut self, column: usize, voted: u64, deep: u64) {
         let candidates = if self.is_crossed(column) {
             [0, -1, 1].map(|least| self.sides_of_crossed_column(column, least))

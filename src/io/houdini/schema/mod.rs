@@ -16,8 +16,9 @@ use crate::io::{ReadFault, malformed};
 use crate::particles::sieve::Sieve;
 
 use super::json::{Json, JsonEvent, JsonNumber, JsonNumbers, Storage};
+use super::primitives::{is_polygon, is_smooth_curve};
 pub use polygons::Polygons;
-use polygons::{RunFields, is_polygon, is_smooth_curve};
+use polygons::RunFields;
 
 /// Maximum number of components of an attribute. Attributes with more components, such as spectra,
 /// are left out.

@@ -43,17 +43,6 @@ pub(super) struct RunFields {
     pub(super) closed: Option<bool>,
 }
 
-/// Whether `kind` is a name of curves that are not polygons.
-pub(super) fn is_smooth_curve(kind: &str) -> bool {
-    matches!(kind, "NURBCurve" | "BezierCurve")
-}
-
-/// Whether `kind` is a name of polygons. Open polygons are curves: in runs they have another name,
-/// and other polygons have the field `closed`.
-pub(super) fn is_polygon(kind: &str) -> bool {
-    matches!(kind, "Poly" | "p_r" | "Polygon_run")
-}
-
 impl SchemaReader<'_, '_, '_> {
     /// Reads the value of an entry in the description of a run. Without need for polygons, the
     /// value is skipped.
